@@ -13,12 +13,11 @@ from experiments.console.options import (
     AUTO,
     LogArgs,
     require_alone,
-    require_at_least,
     require_default,
 )
 from experiments.console.output import note
-from experiments.reporting.log_choice import choice_of, radio_of, require_one_choice, scene_of
-from experiments.reporting.log_results import warn_of_few_explained
+from experiments.reporting.log_choice import choice_of, radio_of, scene_of
+from experiments.reporting.log_results import check, inputs, warn_of_few_explained
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, first_line, parse_json, write_json
 from mmwave_env.io.lookup import printable, quoted
@@ -38,7 +37,6 @@ from mmwave_env.localization.readings import values_of
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log_tables import LogError, header_of
-from mmwave_env.models.layout import require_clock
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Origin, Scene, scene_json
 
@@ -61,24 +59,24 @@ def run_live(args: LogArgs) -> None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
     if args.associate:
         raise ValueError("associate: found --live, for which --map learn assigns paths to anchors")
-    of_files = ("sample", "truth", "out", "plot", "json", "two_way", "diagnose", "odometry", "more")
+    of_files = (
+        "sample", "truth", "out", "plot", "json", "two_way", "diagnose", "odometry", "more",
+        "write", "window", "smoothing",
+    )  # fmt: skip
     require_alone(args, "live", *of_files)
     require_alone(args, "format")
-    require_at_least(0, args, "correlation")
-    require_one_choice(args)
+    check(args, inputs(args))
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
     origin = _origin(args, scene)
     if args.map == "learn":
         _run_map(args, scene, origin)
         return
-    require_default(args, "--map learn", "map_out")
     tracker: Tracker | None = None
     began = False
     waiting: list[LiveEpoch] = []  # epochs before the first position
     waited = False
     to_judge: _FirstEpochs | None = _FirstEpochs()
-    require_clock(args.clock)
     for live, epochs in _epochs(args, scene):
         if tracker is None:
             linked = (epoch for epoch in epochs if log_from([epoch]).visible_links.any())
@@ -112,8 +110,10 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     A doubtful epoch waits for the next ones. If the map explains few paths, a warning says so. At
     the end, also after a signal, the map is written if --map-out asks for it.
     """
-    alone = ("policy", "imm", "speed", "height", "levels", "risk", "correlation")
-    require_alone(args, "map", "clock", *alone)
+    alone = (
+        "policy", "imm", "speed", "height", "levels", "risk", "correlation", "robust", "follow",
+    )  # fmt: skip
+    require_alone(args, "map", *alone)
     name = "handset" if args.radio == AUTO else args.radio
     mode = modes_from(args.modes, name)[-1]
     learner = MapLearner(scene, radio_of(args, name), mode)

@@ -203,7 +203,7 @@ def inputs(args: LogArgs) -> Inputs:
     return Inputs(folder / LOG, str(scene), args.truth or folder / TRUTH)
 
 
-def _check(args: LogArgs, files: Inputs) -> None:
+def check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     require_clock(args.clock)
     require_alone(args, "diagnose", "out", "plot", "truth", "associate")
@@ -217,7 +217,6 @@ def _check(args: LogArgs, files: Inputs) -> None:
             raise ValueError(
                 f"log: found {1 + len(args.more)} logs without --map learn, expected one"
             )
-    require_default(args, "--live", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
     require_at_least(0, args, "correlation")
@@ -231,7 +230,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
     Levels(args.risk, args.levels)  # raises if the risk or the kind is invalid
     if args.plot is not None:
         require_picture("plot", args.plot)
-    read = (*files.earlier, files.log, files.scene, files.truth, args.modes, args.imm)
+    read = [*files.earlier, files.log, files.scene, files.truth, args.modes, args.imm, args.radio]
     taken = {Path(file).resolve() for file in read if file}
     for option, path, _ in _outputs(args):
         if path.resolve() in taken:
@@ -243,7 +242,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
 
 def _outputs(args: LogArgs) -> list[tuple[str, Path, str]]:
     """Return the option, the path and the content of every file to write."""
-    tables = [table for table in map(table_beside, args.out) if table not in args.out]
+    tables = dict.fromkeys(table for table in map(table_beside, args.out) if table not in args.out)
     files = [
         *(("out", out, f"{_kind(args)} track") for out in args.out),
         *(("the table of --out", t, "table of standard deviations and modes") for t in tables),
@@ -457,7 +456,8 @@ def _kind(args: LogArgs) -> str:
 def localized(args: LogArgs) -> None:
     """Run ``mmwave-loc localize`` on a recorded log."""
     files = inputs(args)
-    _check(args, files)
+    check(args, files)
+    require_default(args, "--live", "format", "accuracy", "confidence")
     scene = scene_of(args, files.scene)
     if args.diagnose:
         diagnosed(args, files, scene)

@@ -76,7 +76,9 @@ def test_tracks_in_map_files_are_named_after_the_log_and_one_run_writes_several_
     assert track.name == line["properties"]["name"] == "my_ride"
     tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (" in shown
-    succeed(*MAPPED, "new/t.tum", "new/t.csv", cwd=mapped)  # naming t.csv, too, changes nothing
+    # naming t.csv, too, changes nothing, nor does a second track with this table
+    succeed(*MAPPED, "new/t.tum", "new/t.txt", "new/t.csv", cwd=mapped)
+    succeed(*MAPPED, "new/t.tum", "new/t.txt", cwd=mapped)
     assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
 
 

@@ -231,6 +231,9 @@ def test_input_that_is_not_a_log_is_refused_in_one_line(content):
         ("--associate",),
         ("--no-odometry",),
         ("--correlation", "-1"),
+        ("--write", "s.json"),
+        ("--window", "50"),
+        ("--no-smoothing",),
     ],
 )
 def test_options_that_conflict_with_live_are_refused(more):
@@ -389,11 +392,29 @@ def test_a_live_map_that_explains_few_paths_causes_one_warning(tmp_path):
     assert re.search(r"map: found \d+ of \d+ paths .* expected 25% or more", warning)
 
 
-@pytest.mark.parametrize("more", [("--policy", "guided"), ("--clock", "free"), ("--risk", "0.01")])
+@pytest.mark.parametrize(
+    "more",
+    [
+        ("--policy", "guided"),
+        ("--clock", "free"),
+        ("--risk", "0.01"),
+        ("--robust",),
+        ("--follow", "odometry"),
+    ],
+)
 def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(more):
     words = learning(STREET)
     _, (line,), code = live((STREET / "log.csv").read_bytes(), *words, *more)
     assert code == 2 and f"{more[0].removeprefix('--')}: cannot be combined with --map" in line
+
+
+def test_a_live_map_does_not_replace_the_scene(tmp_path):
+    scene = tmp_path / "base-station.json"
+    scene.write_bytes((STREET / scene.name).read_bytes())
+    content = (STREET / "log.csv").read_bytes()
+    _, (line,), code = live(content, *learning(tmp_path), "--map-out", scene)
+    assert code == 2 and f"map-out: found {scene}" in line
+    assert scene.read_bytes() == (STREET / scene.name).read_bytes()
 
 
 @pytest.mark.parametrize(
