@@ -26,7 +26,7 @@ ELLIPSE_SHARE = 0.95
 _DEVIATIONS = np.sqrt(-2.0 * np.log(1.0 - ELLIPSE_SHARE))  # chi quantile, 2 degrees of freedom
 _CORNERS = 32  # number of corners of the polygon that approximates an ellipse
 _ELLIPSES_APART_S = 1.0  # minimum time between ellipses; one per epoch would make files too large
-_GEOJSON = '{"type": "FeatureCollection", "features": ['
+_GEOJSON = '{"type": "FeatureCollection", "features": [\n'  # other programs write no line end here
 _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
     '<gpx version="1.1" creator="mmwave-loc" xmlns="http://www.topografix.com/GPX/1/1">'
@@ -69,7 +69,7 @@ def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
 def geojson(track: Track, origin: Origin, name: str) -> str:
     """Return a FeatureCollection: a line per segment, and a 95 % ellipse about every second."""
     features = [line for part in track.by_segment() for line in _features(part, origin, name)]
-    return _GEOJSON + ",".join([f"\n{json.dumps(feature)}" for feature in features]) + "\n]}\n"
+    return _GEOJSON + ",\n".join(map(json.dumps, features)) + "\n]}\n"
 
 
 def _features(track: Track, origin: Origin, name: str) -> Iterator[dict[str, object]]:

@@ -153,6 +153,7 @@ def test_a_map_file_needs_an_origin_and_replaces_only_files_of_its_kind(tmp_path
             write_track(some_track(3), [path], scene)
     written(tmp_path, ending, tracks())
     require_own_files(path)
-    path.write_text("{}")
-    with refuses("out"):
-        require_own_files(path)
+    for theirs in ("{}", json.dumps({"type": "FeatureCollection", "features": [{}]})):
+        path.write_text(theirs)
+        with refuses("out"):
+            require_own_files(path)
