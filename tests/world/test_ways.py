@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.ways import read_trajectory, read_ways, scenario_from
+from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.mobility import MOBILITIES, Mobility
 from mmwave_env.world.trajectory import PlacedWays, Trajectory, Ways, users_of
@@ -17,6 +18,7 @@ from tests.filters.tracks import street_source
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
+BEYOND_M = 2.0 * POSITION_M.least
 
 
 def straight(seconds, y=-80.0, speed=2.0, name="way"):
@@ -213,7 +215,7 @@ def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
         (([0, -20, 1.5], [50, 60, 1.5]), 1.0, "row 7: x, y, z"),  # behind a wall
         (([5, 5, 10], [15, 15, 10]), 1.0, "row 6: x, y, z"),  # at an anchor
         (([-9e5, -5e5, 1], [-9e5, -5e5 + 50, 1]), 1.0, "row 1: x, y, z"),  # far from the anchors
-        (([-2e6, 0, 1], [-2e6, 50, 1]), 1.0, "row 1: x, y, z"),  # beyond 1e6 m
+        (([BEYOND_M, 0, 1], [BEYOND_M, 50, 1]), 1.0, "row 1: x, y, z"),
         (([0, -20, 1], [50, -20, 1]), 20.0, "mine"),  # lasts 10 s, shorter than a step
     ],
 )
