@@ -17,7 +17,7 @@ from experiments.console.options import (
 )
 from experiments.console.output import note
 from experiments.reporting.log_choice import choice_of, radio_of, scene_of
-from experiments.reporting.log_results import check, inputs, warn_of_few_explained
+from experiments.reporting.log_results import check_options, inputs, warn_of_few_explained
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, first_line, parse_json, write_json
 from mmwave_env.io.lookup import printable, quoted
@@ -65,7 +65,7 @@ def run_live(args: LogArgs) -> None:
     )  # fmt: skip
     require_alone(args, "live", *of_files)
     require_alone(args, "format")
-    check(args, inputs(args))
+    check_options(args, inputs(args))
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
     origin = _origin(args, scene)

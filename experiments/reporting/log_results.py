@@ -203,7 +203,7 @@ def inputs(args: LogArgs) -> Inputs:
     return Inputs(folder / LOG, str(scene), args.truth or folder / TRUTH)
 
 
-def check(args: LogArgs, files: Inputs) -> None:
+def check_options(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     require_clock(args.clock)
     require_alone(args, "diagnose", "out", "plot", "truth", "associate")
@@ -456,7 +456,7 @@ def _kind(args: LogArgs) -> str:
 def localized(args: LogArgs) -> None:
     """Run ``mmwave-loc localize`` on a recorded log."""
     files = inputs(args)
-    check(args, files)
+    check_options(args, files)
     require_default(args, "--live", "format", "accuracy", "confidence")
     scene = scene_of(args, files.scene)
     if args.diagnose:
