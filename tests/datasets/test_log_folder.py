@@ -15,8 +15,7 @@ from mmwave_env.models.scene import SCENES, read_scene
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.filters.tracks import sampled, seeded
 from tests.localization.mistakes import read_columns, write_columns
-from tests.logs.by_hand import shown
-from tests.logs.writing import write_log
+from tests.logs.by_hand import shown, write_log
 from tests.paths import LOGS, RECORDINGS
 from tests.refusals import refuses
 

@@ -1,4 +1,4 @@
-"""Tests of running contenders (policies with their modes, or IMMs) on the same episodes."""
+"""Tests of running contenders (policies with their modes, or IMMs), and of their histories."""
 
 import json
 from dataclasses import replace
@@ -19,11 +19,22 @@ from experiments.evaluation.contenders import (
     contenders,
     draw_episodes,
 )
-from experiments.evaluation.runner import run_contender, score, score_contenders
+from experiments.evaluation.runner import (
+    Scoring,
+    history_of,
+    run_contender,
+    score,
+    score_contenders,
+)
+from mmwave_env.datasets.recorded import TrackSource
+from mmwave_env.datasets.samples import read_track
 from mmwave_env.filters.bank import bank_as_written, modes_from
 from mmwave_env.interface.observation import BELIEFS
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
 from mmwave_env.models.layout import Layout
+from mmwave_env.models.scene import SCENES
+from mmwave_env.rendering.history import NO_MODE
 from policies import LearnedSwitch, learned, shipped_policies
 from tests.filters.tracks import nees_of, street_source
 from tests.paths import ROOT, write_json
@@ -241,3 +252,55 @@ def test_a_shipped_policy_is_the_median_of_its_five_training_seeds(name):
     assert rewards == sorted(rewards, reverse=True)
     played = contender_from(folder, "standard" if name == "ppo-standard" else "handset")
     assert played.start(Layout()).card.seed == cards[2].seed
+
+
+# --- histories (the data of pictures), which equal those of an environment
+
+SEED = 5
+(EPISODE,) = draw_episodes(SOURCE, [SEED])
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("speed-rule", {}),
+        # The next two cases are slow, because each compiles its own kernels.
+        pytest.param("fixed-ukf", {"planar": True}, marks=pytest.mark.slow),
+        pytest.param("guided", {"beliefs": "per-mode"}, marks=pytest.mark.slow),
+    ],
+)
+def test_a_history_equals_what_an_environment_records(name, arguments):
+    pytest.importorskip("pygame")
+    scoring = Scoring(TrackingReward(), arguments.get("planar", False))
+    contender = contender_from(name, "handset")
+    history = history_of(contender, EPISODE, scoring, SCENES["street"])
+    arguments |= {"modes": contender.filters, "render_mode": "rgb_array"}
+    env = gym.make("MmWaveLoc-v0", **arguments).unwrapped
+    env.reset(seed=SEED)
+    for mode in history.modes[1:]:
+        env.step(mode)
+    recorded = env._gallery.recorders[0].history
+    assert history.axes == recorded.axes and history.epochs == recorded.epochs == len(EPISODE)
+    assert history.name == recorded.name
+    assert history.scene == recorded.scene is not None
+    assert_array_equal(history.anchors_m, recorded.anchors_m)
+    for field in ("time_s", "modes", "truth", "estimate", "P", "nees", "accepted", "rejected"):
+        assert_allclose(
+            getattr(history, field), getattr(recorded, field), err_msg=field, rtol=1e-9, atol=1e-9
+        )
+
+
+def test_the_history_of_an_imm_shows_the_most_probable_modes():
+    contender = contender_from("imm", "handset")
+    history = history_of(contender, EPISODE)
+    assert history.modes[0] == NO_MODE
+    assert set(history.modes[1:]) == set(range(len(contender.actions)))
+    assert (history.accepted[1:] | history.rejected[1:]).any()
+
+
+def test_the_history_of_a_recording_begins_at_its_prior():
+    (episode,) = draw_episodes(TrackSource(read_track("canyon28_pedestrian"), "handset"), [0])
+    history = history_of(contender_from("fixed-ukf", "handset"), episode)
+    assert_array_equal(history.estimate[0], episode.prior_mean)
+    assert history.scene is None and history.time_s[0] == history.time_s[1] == 0.0
+    assert history.time_s[-1] == episode.time_s[-1] - episode.time_s[0]

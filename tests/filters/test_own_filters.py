@@ -23,7 +23,7 @@ from mmwave_env.models.scene import SCENES
 from tests.filters import gated_textbook
 from tests.filters.problems import GATES, assert_same, assume_clear_of, problems
 from tests.filters.tracks import STREET, sampled, street_source
-from tests.logs.writing import write_log
+from tests.logs.by_hand import write_log
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "own-filters.md").read_text()

@@ -1,15 +1,22 @@
-"""Tests of associating paths with anchors, of where tracks begin, and of counts of paths."""
+"""Tests of associating paths with anchors by their NIS, of where tracks begin, and of counts."""
 
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.filters.bank import default_modes
+from mmwave_env.filters.textbook import tangent
 from mmwave_env.interface.policy import Switching
-from mmwave_env.localization.association import associate
+from mmwave_env.localization.association import PathTracker, assign, associate
+from mmwave_env.localization.image_filter import Belief, Image, Paths, disagreement
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import PathLog, paths_of, read_log, read_paths
@@ -17,9 +24,10 @@ from mmwave_env.logs.log_tables import LogError, Table, log_file
 from mmwave_env.models.layout import Layout, sigma_name
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES, Scene
+from mmwave_env.models.scene import SCENES, Scene, scene_of_anchors
 from policies.rules import by_predicted_speed
-from tests.filters.tracks import drawn, geometry
+from tests.filters.problems import numbers, problems
+from tests.filters.tracks import drawn, geometry, wrapped
 from tests.logs.by_hand import hide_anchors
 from tests.paths import LOGS, representative
 
@@ -156,16 +164,16 @@ def test_association_does_not_change_odometry_and_doppler_spread(tmp_path):
     hide_anchors(path, episode, false_paths=2)
     block, _ = associated(read_paths(path, SCENES["street"]), SCENES["street"])
     shown = block.visible[:, -1]
-    np.testing.assert_array_equal(shown, episode.usable[:, -1])
-    np.testing.assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])
-    np.testing.assert_array_equal(block.doppler_spread_hz, episode.doppler_spread_hz)
+    assert_array_equal(shown, episode.usable[:, -1])
+    assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])
+    assert_array_equal(block.doppler_spread_hz, episode.doppler_spread_hz)
 
 
 def test_ranges_with_their_own_deviations_are_as_uncertain_as_offsets_of_anchors():
     scene = replace(SCENE, range_offset_sigma_m=(0.4, 0.0, 0.3))
     log, _ = associated(log_of(walk([ALL] * 12), scene, own=[0.3, 0.02, 0.02, 0.03]), scene)
     expected = np.tile([0.5, 0.3, np.hypot(0.3, 0.3)], (12, 1))
-    np.testing.assert_allclose(log.sigma[:, LAYOUT.ranges], expected)
+    assert_allclose(log.sigma[:, LAYOUT.ranges], expected)
 
 
 def test_only_the_doppler_shift_of_the_line_of_sight_is_used_with_its_own_deviation():
@@ -178,3 +186,64 @@ def test_epochs_before_a_damaged_line_are_returned():
     damage = LogError("line 7")
     log, _ = associated(log_of(walk([ALL] * 12))._replace(damage=damage))
     assert len(log) == 12 and log.damage is damage
+
+
+# --- the NIS of paths, and the best assignment
+
+
+@settings(max_examples=30)
+@given(problem=problems(anchors=3), data=st.data())
+def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
+    n = data.draw(st.integers(0, 4))
+    links = problem.sensor.links
+    predicted = tangent(problem.sensor, problem.x, problem.P)
+    offset = data.draw(numbers(-0.3, 0.3, (n, 4)))
+    paths = predicted.mean[np.arange(n)[:, None] % links * 4 + np.arange(4)] + offset
+    paths[:, 1:] = wrapped(paths[:, 1:])
+    variance = np.tile(problem.R[:8].reshape(2, 4), (n, 1, 1))
+    _, *images = problem.sensor.anchors
+    P = np.pad(problem.P, (0, 3 * len(images)))
+    x = np.append(problem.x, images)
+    belief = Belief(x, P, (Image(exact=True),) * len(images), 0.0)
+    unknown = np.full(n, np.nan)
+    observed = Paths(0.0, paths, unknown, variance, unknown, unknown > 0.0, False)
+    scene = scene_of_anchors("problem", np.array(problem.sensor.anchors), 28e9, 400e6)
+    tracker = PathTracker(scene, RADIO, MODES[0])
+    nis, _ = tracker.nis(belief, observed)
+    assert nis.shape == (links, n)
+    for link, path in np.ndindex(nis.shape):
+        rows = slice(4 * link, 4 * link + 4)
+        whole = predicted.mean.copy()
+        whole[rows] = paths[path]
+        innovation = problem.sensor.difference(whole, predicted.mean)[rows]
+        S = predicted.S[rows, rows] + np.diag(variance[path, min(link, 1)])
+        right = innovation @ np.linalg.solve(S, innovation)
+        assert nis[link, path] == pytest.approx(right, rel=1e-6, abs=1e-9)
+
+
+@given(st.data())
+def test_no_other_assignment_is_better(data):
+    anchors = data.draw(st.integers(1, 4))
+    n = data.draw(st.integers(0, 4))
+    elements = numbers(0.0, 30.0) | st.just(np.inf)
+    nis = data.draw(hnp.arrays(float, (anchors, n), elements=elements))
+    gate = 13.3
+    assigned = assign(nis, gate)
+    assert len(set(assigned.values())) == len(assigned)
+
+    def cost(chosen):
+        """Return the cost of an assignment; an anchor without a path costs as much as the gate."""
+        kept = [nis[a, p] for a, p in enumerate(chosen) if p < n and nis[a, p] < gate]
+        return sum(kept) + gate * (anchors - len(kept))
+
+    best = min(map(cost, permutations(range(n + anchors), anchors)))
+    assert cost([assigned.get(anchor, n) for anchor in range(anchors)]) == pytest.approx(best)
+
+
+def test_the_azimuths_of_a_path_disagree_if_departure_is_not_opposite_to_arrival():
+    sigma = np.tile([0.2, 0.03, 0.01, 0.04], (4, 1))
+    arrivals = np.array([1.0, 3.0, -3.1, -0.75 * np.pi])
+    apart = np.array([0.0, 0.1, -0.05, -0.02])
+    departures = wrapped(arrivals + apart - np.pi)
+    paths = np.column_stack([np.full(4, 9.0), arrivals, np.full(4, 0.1), departures])
+    assert_allclose(disagreement(paths, sigma**2), (apart / 0.05) ** 2, atol=1e-12)

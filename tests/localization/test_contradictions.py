@@ -14,7 +14,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import sampled
 from tests.localization.test_diagnosis import doubts
-from tests.logs.writing import write_log
+from tests.logs.by_hand import write_log
 
 KINDS = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
 WORLDS = list(product([RADIOS[name] for name in TUNED_RADIOS], SCENES.values(), KINDS))

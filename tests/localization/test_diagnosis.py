@@ -1,4 +1,4 @@
-"""Tests that likely mistakes in a log are refused or cause a warning, and are diagnosed."""
+"""Tests that likely mistakes in a log are refused or warned of, are diagnosed, and are reported."""
 
 from contextlib import suppress
 from copy import deepcopy
@@ -7,18 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.reporting.log_report import diagnosis_markdown, verdict
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.interface.policy import Switching
-from mmwave_env.localization.contradictions import contradictions
+from mmwave_env.localization.contradictions import Contradiction, contradictions
 from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, mistakes
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.readings import Reading
+from mmwave_env.localization.readings import Finding, Reading
 from mmwave_env.localization.track_scores import group_statistics
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Origin, read_scene
 from policies.rules import by_predicted_speed
-from tests.localization.errors import mode_of, readings
+from tests.localization.errors import STREET, mode_of, readings
 from tests.localization.mistakes import (
     AZIMUTHS,
     FOLDERS,
@@ -211,3 +212,46 @@ def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
     block.visible[:, 0] = False
     with refuses("log"):
         diagnose(Reading(block, scene, RADIO, MODES[1]))
+
+
+# --- the report: its verdict, its notes and its table
+
+DOUBT = Contradiction("anchor 2", "NIS / dof 9", "0.2 to 5")
+FITS = {"anchor 1": 1.1, "anchor 2": 0.6, "Doppler": None}
+AS_IS = Finding(AS_IT_IS, FITS, -1.0, [], "", STREET)
+WRONG = AS_IS._replace(contradictions=[DOUBT])
+TURNED = AS_IS._replace(hypothesis="azimuths are turned", cure="write it", shared=True)
+NEGATED = AS_IS._replace(hypothesis="signs differ", cure="negate")
+CASES = {  # words of the verdict -> findings
+    "The log is consistent as it is.": [AS_IS],
+    "The log is consistent if signs differ. It was not changed. To correct it, negate": [
+        NEGATED,
+        WRONG,
+    ],
+    "No hypothesis makes the log consistent. anchor 2: found NIS / dof 9, expected": [WRONG],
+    "The log looks as if azimuths are turned; protection levels do not hold": [TURNED, AS_IS],
+    "is near 1. Even without this: anchor 2: found NIS / dof 9, expected 0.2 to 5. It was not": [
+        TURNED._replace(contradictions=[DOUBT]),
+        WRONG,
+    ],
+}
+
+
+@pytest.mark.parametrize("words", CASES)
+def test_the_verdict_is_about_the_best_finding(words):
+    assert words in verdict(CASES[words])
+
+
+def test_notes_stand_between_verdict_and_table():
+    findings = [NEGATED, WRONG]
+    text = diagnosis_markdown(findings, ["the clock jumps"])
+    said, note, table, *_ = text.split("\n\n")
+    assert said == verdict(findings) and note == "- the clock jumps"
+    rows = [line.split(" | ") for line in table.splitlines()]
+    assert rows[2] == ["| signs differ", "0.6", "-", "yes |"]
+    assert rows[3] == ["| as it is", "0.6", "-", "no |"]
+    assert "\n\n- " not in diagnosis_markdown([AS_IS], [])
+
+
+def test_a_shared_error_needs_no_table_of_hypotheses_that_do_not_see_it():
+    assert "| as it is" not in diagnosis_markdown([TURNED, AS_IS], [])

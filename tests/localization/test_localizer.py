@@ -27,8 +27,7 @@ from mmwave_env.world.episode import Episode
 from policies.corrector import TWO_WAY, TwoWayCorrector
 from policies.rules import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import drawn, geometry, track
-from tests.logs.by_hand import assert_same, damaged, log_with
-from tests.logs.writing import write_log
+from tests.logs.by_hand import assert_same, damaged, log_with, write_log
 from tests.paths import representative
 
 SCENE = SCENES["street"]

@@ -1,12 +1,13 @@
-"""Helpers that make, read and compare small logs."""
+"""Helpers that make, write, read and compare small logs."""
 
+import gzip
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
-from mmwave_env.datasets.log_folder import log_text, path_columns
+from mmwave_env.datasets.log_folder import log_columns, log_text, path_columns
 from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError, header_of
@@ -121,3 +122,17 @@ def hide_anchors(path, episode, false_paths=0.0, seed=0):
     """Write an episode as a log of paths, with ``false_paths`` per epoch on average."""
     columns = path_columns(episode, false_paths, np.random.default_rng(seed))
     path.write_text(log_text(columns))
+
+
+def write_log(path, episode):
+    """Write the log of an episode as CSV, gzipped CSV or Parquet, as the name of the file says."""
+    columns = log_columns(episode)
+    if path.suffix == ".parquet":
+        import pyarrow
+        from pyarrow import parquet
+
+        arrays = {name: pyarrow.array(v, mask=np.isnan(v)) for name, v in columns.items()}
+        parquet.write_table(pyarrow.table(arrays), path, write_page_checksum=True)
+        return
+    content = log_text(columns).encode()
+    path.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)

@@ -1,4 +1,4 @@
-"""Tests of measurement logs: columns, units, variants of CSV, and writing and reading back."""
+"""Tests of measurement logs: columns, units, variants of CSV, writing, conventions of angles."""
 
 import tempfile
 from dataclasses import replace
@@ -15,7 +15,7 @@ from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_columns import QUANTITIES
 from mmwave_env.models.layout import Layout, wrapped
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, seen_from_image
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, exact_rows, seen_from_image
 from mmwave_env.models.radio import RADIOS
 from tests.logs.by_hand import (
     COLUMNS,
@@ -33,8 +33,9 @@ from tests.logs.by_hand import (
     shown,
     store,
     text,
+    write_log,
 )
-from tests.logs.writing import write_log
+from tests.paths import ROOT
 
 
 def test_every_number_is_read_into_its_array(tmp_path):
@@ -347,3 +348,46 @@ def test_live_rows_are_corrected_like_those_of_a_file(tmp_path):
     assert all(epoch.columns.placed(epoch.rows) is None for epoch in epochs)
     log = log_from([*epochs, *live.end_epoch()])
     assert_same(log, read(store(tmp_path, content), CORRECTED), "line")
+
+
+# --- formulas of docs/data.md, which convert angles of other conventions to ours
+
+PAGE = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
+TABLE = PAGE.split("<!-- conversions:")[1].split("<!-- end of conversions")[0]
+CONVERSIONS = [  # for each row: a description, then formulas of arrival, elevation and departure
+    [cell.strip(" `") for cell in row.strip("|").split("|")]
+    for row in TABLE.splitlines()
+    if row.startswith("| ") and "you have" not in row
+]
+
+
+def between(p, q):
+    """Return azimuth and elevation, in degrees, of the direction from p to q."""
+    d = np.subtract(q, p)
+    return np.degrees(np.arctan2(d[1], d[0])), np.degrees(np.arctan2(d[2], np.hypot(d[0], d[1])))
+
+
+def reported(anchor, user):
+    """Return a dict for each row: the angles (deg) that a receiver of this convention reports."""
+    out, elevation = between(anchor, user)
+    back, at_user = between(user, anchor)
+    return [
+        {"arrival": back, "elevation": at_user, "departure": out},
+        {"zenith": 90.0 - elevation},
+        {"arrival": 63.0 - out, "departure": 63.0 - back, "x_axis": 63.0},
+        {"arrival": out - 25.0, "anchor_yaw": 25.0, "departure": back + 70.0, "user_yaw": -70.0},
+    ]
+
+
+@pytest.mark.parametrize("user", [(30.0, 9.0, 1.5), (-20.0, -4.0, 1.5), (3.0, -40.0, 12.0)])
+def test_every_conversion_on_the_page_gives_our_angles(user):
+    anchor = (1.0, 2.0, 10.0)
+    rows = exact_rows(user, [0.0] * 3, [anchor], 1.0, Layout(1))
+    right = np.degrees(rows[1:4])
+    receivers = reported(anchor, user)
+    assert len(CONVERSIONS) == len(receivers)
+    for (_, *formulas), names in zip(CONVERSIONS, receivers, strict=True):
+        for formula, angle in zip(formulas, right, strict=True):
+            if formula:
+                turn = eval(formula, {}, names) - angle
+                assert (turn + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9), formula

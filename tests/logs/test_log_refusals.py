@@ -28,8 +28,8 @@ from tests.logs.by_hand import (
     rows,
     store,
     text,
+    write_log,
 )
-from tests.logs.writing import write_log
 from tests.refusals import refuses
 
 

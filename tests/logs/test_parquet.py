@@ -6,8 +6,17 @@ from numpy.testing import assert_array_equal
 
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
-from tests.logs.by_hand import COLUMNS, SCENE, L, assert_same, delivered, episode, read, rows
-from tests.logs.writing import write_log
+from tests.logs.by_hand import (
+    COLUMNS,
+    SCENE,
+    L,
+    assert_same,
+    delivered,
+    episode,
+    read,
+    rows,
+    write_log,
+)
 from tests.refusals import refuses
 
 pyarrow = pytest.importorskip("pyarrow")

@@ -1,17 +1,22 @@
-"""Tests of radios, shipped, in files and random; tests/world has those of the channel."""
+"""Tests of radios, shipped, in files and random, and of priors; tests/world tests the channel."""
 
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import exact_rows
+from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS, Radio, RandomRadio, radio_from
 from mmwave_env.models.random_scene import WIDE_SCENE
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import wrapped
 from tests.paths import write_json
 from tests.refusals import refuses
 
@@ -143,3 +148,44 @@ def test_wide_streets_are_a_scene_of_the_environment():
     source = task_from(scene="wide").simulated
     heights = [source.scene_of(key).anchors_m[0, 2] for key in range(100)]
     assert min(heights) < 6.0 and max(heights) > 20.0
+
+
+# --- priors that are computed from one link (a *fix*)
+
+GNB = STREET.anchors_m[0]
+# Standard deviations of range (m), azimuth of arrival, elevation and azimuth of departure (rad).
+SIGMA = np.array([0.3, 0.02, 0.015, 0.01])
+
+
+def link_from(position):
+    """Return the exact values (4,) of the base station's link to a user at rest."""
+    return np.array(exact_rows(position, [0.0] * 3, [GNB], 1.0, Layout(1))[:4])
+
+
+@given(st.tuples(st.floats(-200, 200), st.floats(-200, 200), st.floats(0, 5)))
+def test_a_fix_without_noise_is_the_true_position_and_leaves_the_velocity_unknown(position):
+    if np.hypot(*(np.array(position[:2]) - GNB[:2])) < 1.0:
+        return  # directly below the anchor, azimuths are undefined
+    mean, covariance = prior_from_fix(GNB, link_from(position), SIGMA, HANDSET, STREET)
+    assert_allclose(mean[:3], position, atol=1e-9)
+    assert_array_equal(mean[3:], 0.0)
+    assert_allclose(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+    rest = HANDSET.prior_covariance(STREET)
+    rest[3, 3] = rest[4, 4] = HANDSET.start_velocity_mps**2
+    assert_array_equal(covariance[3:, 3:], rest[3:, 3:])
+    assert_array_equal(covariance[:3, 3:], 0.0)
+
+
+@pytest.mark.parametrize("position", [(80.0, -20.0, 1.5), (-60.0, 10.2, 1.5), (10.5, -90.0, 1.5)])
+def test_the_covariance_of_a_fix_is_right(position):
+    exact = link_from(position)
+    rng = np.random.default_rng(0)
+    scores = []
+    for _ in range(1000):
+        link = exact + SIGMA * rng.standard_normal(4)
+        link[1:] = wrapped(link[1:])
+        mean, covariance = prior_from_fix(GNB, link, SIGMA, RADIOS["standard"], STREET)
+        error = mean[:3] - position
+        scores.append(error @ np.linalg.solve(covariance[:3, :3], error))
+    assert np.mean(scores) == pytest.approx(3.0, rel=0.15)

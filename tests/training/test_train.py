@@ -1,12 +1,16 @@
-"""Tests of the training of policies: hyperparameters, evaluations, options, folders of runs."""
+"""Tests of training policies: hyperparameters, evaluations, options, folders, checkpoints."""
 
+import io
 import math
 import re
 import sys
 from dataclasses import asdict, replace
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from tests.damage import Malicious, damaged
 from tests.paths import json_in, write_json
 from tests.refusals import refuses
 
@@ -26,7 +30,7 @@ from experiments.training.hyperparameters import (
 )
 from experiments.training.ppo import PlacesVecEnv, learner
 from experiments.training.run import manifest_of, train
-from experiments.training.trainer import Job
+from experiments.training.trainer import Job, Progress, read_checkpoint
 from experiments.training.training_task import Place, TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
@@ -221,3 +225,47 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     assert card.beliefs == "per-mode" and list(card.banks) == ["handset", "standard"]
     words = ("--radio", "high", "--scene", "dynamic-doppler", "--episodes", 5)
     assert f"| {policy} |" in succeed("compare", "--policies", policy, *words)
+
+
+# --- checkpoints, which may be valid, damaged or forged
+
+PROGRESS = Progress(3, 96, 1.5, [{"timesteps": 96, "seconds": 1.5}], {"reward": -1.5})
+
+
+def checkpoint(path, trainer):
+    """Write a checkpoint with a trainer's state to a file; return the path."""
+    memory = io.BytesIO()
+    torch.save({"progress": vars(PROGRESS), "trainer": trainer}, memory)
+    path.write_bytes(memory.getvalue())
+    return path
+
+
+@settings(
+    max_examples=60, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_a_damaged_checkpoint_is_read_or_refused(tmp_path, data):
+    path = checkpoint(tmp_path / "checkpoint.pt", {"weight": torch.ones(2, 2)})
+    path.write_bytes(data.draw(damaged(path.read_bytes())))
+    try:
+        read_checkpoint(path)
+    except ValueError as error:
+        refusal = str(error)
+    else:
+        return
+    assert "checkpoint.pt: not a checkpoint: " in refusal
+
+
+def test_a_checkpoint_that_lacks_entries_of_the_trainer_is_refused(tmp_path):
+    job = job_of(tmp_path)
+    checkpoint(job.checkpoint, {"timesteps": 3})
+    with refuses("checkpoint.pt", "network"):
+        train(job, lambda *_: None)
+
+
+def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
+    trap = tmp_path / "trap"
+    path = checkpoint(tmp_path / "checkpoint.pt", Malicious(trap))
+    with refuses("checkpoint.pt"):
+        read_checkpoint(path)
+    assert not trap.exists()
