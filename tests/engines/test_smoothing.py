@@ -1,4 +1,8 @@
-"""Tests of the smoother, against filterpy on a linear model and against numpy on our tracks."""
+"""Tests of the smoothers of a mode and of interacting modes.
+
+They are compared with filterpy on a linear model, with the textbook on our tracks, and with the
+truth.
+"""
 
 from dataclasses import replace
 
@@ -7,14 +11,21 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.smoothing import smooth
-from mmwave_env.filters import textbook
-from tests.filters.tracks import packed, pipeline_of, simulated, unpacked
+from mmwave_env.engines.engine import Engine, run_imm
+from mmwave_env.engines.smoothing import SMOOTHED, smooth
+from mmwave_env.filters import Pipeline, textbook
+from mmwave_env.filters.bank import Bank, modes_from
+from mmwave_env.filters.mode_smoothing import smooth_modes
+from mmwave_env.metrics import BURN_IN, nees_interval
+from mmwave_env.task import task_from
+from mmwave_env.world.episode import EpisodeBatch, columns_of
+from mmwave_env.world.keys import keys_of
+from tests.filters.tracks import nees_of, packed, pipeline_of, street_source, unpacked
+from tests.paths import representative
 
 TOLERANCE = 1e-9
+TUNING = 5_000_000  # episode key of the first episode
 HZ_PER_MPS = 93.4
-PARTS = ("x", "P", "x_predicted", "P_predicted")
 
 
 @pytest.mark.parametrize("dt", [0.1, 1.0, 3.0])
@@ -33,46 +44,71 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
     filtered = x[None, ..., 0], packed(P)[None]
     predicted = x_predicted[None, ..., 0], packed(P_predicted)[None]
     tracks = np.concatenate([*filtered, *predicted], axis=2)
-    found_x, found_P = smooth(pipeline_of(), tracks, np.full((1, 60), dt), HZ_PER_MPS)
+    steps = np.full((1, 60), dt)
+    found_x, found_P = smooth(pipeline_of(), tracks, steps, HZ_PER_MPS)
     assert_allclose(found_x[0], expected_x[..., 0], rtol=TOLERANCE, atol=TOLERANCE)
     assert_allclose(unpacked(found_P[0]), expected_P, rtol=TOLERANCE, atol=TOLERANCE)
+    first = smooth(pipeline_of(), tracks[:, :1], steps[:, :1], HZ_PER_MPS)
+    for ours, part in zip(first, filtered, strict=True):
+        assert_array_equal(ours, part[:, :1])  # a single epoch is not changed
 
 
-def tracks(planar, n=9, epochs=120):
-    """Return random times (n, epochs), and the PARTS of an EKF's tracks at these times."""
-    time_s = np.random.default_rng(0).uniform(0.2, 2.0, (n, epochs)).cumsum(axis=1)
-    episodes = [replace(e, time_s=t) for e, t in zip(simulated(n, epochs), time_s, strict=True)]
-    tracker = Engine(pipeline_of(algorithms=["ekf"], planar=planar), n, observation="")
-    tracker.load(episodes)
-    return time_s, list(tracker.run(*PARTS).values())
-
-
-def assert_smoothed_as_in_the_textbook(parts, time_s, tolerance, planar=False):
-    """Smooth tracks at times (n, T), and compare them with the textbook's smoother, in numpy."""
+@pytest.mark.parametrize("clock", ["synchronized", "offset", "free"])
+@pytest.mark.parametrize("planar", representative([False, True], False))
+def test_smoothed_tracks_equal_the_textbook(planar, clock):
+    """Check the smoother, and the smoother for interacting modes with a single mode."""
+    n = 9  # more than a block of eight
+    time_s = np.random.default_rng(0).uniform(0.1, 2.0, (n, 50)).cumsum(axis=1)
+    source = street_source(radio="standard", epochs=50, clock=clock)
+    episodes = source.episodes(keys_of(range(n)))
+    batch = EpisodeBatch.of(
+        [replace(e, time_s=times) for e, times in zip(episodes, time_s, strict=True)]
+    )
+    hz_per_mps = source.scene.hz_per_mps
+    bank = Bank(modes_from(["ukf"], "standard"))
+    pipeline = Pipeline(bank.modes, source.layout, planar)
+    kept = run_imm(bank, None, batch, "mixture", planar=planar)
+    engine = Engine(pipeline, n, observation="")
+    engine.load(batch)
+    x, P, P_predicted, tracks = engine.run("x", "P", "P_predicted", SMOOTHED).values()
     free = [0, 1, 3, 4, 6] if planar else list(range(7))
-    dt = np.diff(time_s, prepend=0.0)
-    pipeline = pipeline_of(planar=planar)
-    smoothed = smooth(pipeline, np.concatenate(parts, axis=2), dt, HZ_PER_MPS)
-    tracks = zip(*smoothed, *parts, time_s, strict=True)
-    for smooth_x, smooth_P, x, P, _, P_predicted, times in tracks:
-        filtered = x, unpacked(P), unpacked(P_predicted)
-        expected_x, expected_P = textbook.rts(*filtered, times, free)
-        assert_allclose(smooth_x, expected_x, rtol=tolerance, atol=tolerance)
-        block = np.ix_(range(len(x)), free, free)
-        assert_allclose(
-            unpacked(smooth_P)[block], expected_P[block], rtol=10.0 * tolerance, atol=tolerance
+    if clock != "synchronized":
+        free.append(7)
+    drive = hz_per_mps if clock == "offset" else None
+    at = columns_of(batch.layout)
+    steps = batch.table[..., at.dt]
+    spread = batch.table[..., at.doppler_spread_hz]
+    smoothed = smooth(pipeline, tracks, steps, hz_per_mps)
+    by_modes = smooth_modes(bank, pipeline, kept["mixture"], steps, spread, hz_per_mps)
+    for e, times in enumerate(time_s):
+        expected_x, expected_P = textbook.rts(
+            x[e], unpacked(P[e]), unpacked(P_predicted[e]), times, free, drive
         )
+        for smoothed_x, smoothed_P in (smoothed, by_modes):
+            assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
+            assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize("planar", [False, True])
-def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
-    time_s, parts = tracks(planar)
-    assert_smoothed_as_in_the_textbook(parts, time_s, TOLERANCE, planar)
+@pytest.mark.slow
+@pytest.mark.parametrize("radio", ["handset", "standard"])
+def test_smoothed_modes_are_consistent_and_nearer_to_the_truth(radio):
+    task = task_from(beliefs="per-mode", radio=radio)
+    bank = task.bank
+    batch = task.simulated.sample_batch(np.arange(TUNING, TUNING + 40).astype(np.uint64))
+    pipeline = Pipeline(bank.modes, batch.layout)
+    track = run_imm(bank, None, batch, "x", "P", "mixture")
+    at = columns_of(batch.layout)
+    steps = batch.table[..., at.dt]
+    spread = batch.table[..., at.doppler_spread_hz]
+    hz_per_mps = task.simulated.scene.hz_per_mps
 
+    def error(x):
+        return (x[..., :3] - batch.table[..., at.truth[:3]])[:, BURN_IN:]
 
-def test_smoothing_does_not_change_a_single_epoch():
-    _, parts = tracks(planar=False)
-    first = [part[:1, :1] for part in parts]
-    smoothed = smooth(pipeline_of(), np.concatenate(first, axis=2), np.ones((1, 1)), HZ_PER_MPS)
-    assert_array_equal(smoothed[0], first[0])
-    assert_array_equal(smoothed[1], first[1])
+    x, P = smooth_modes(bank, pipeline, track["mixture"], steps, spread, hz_per_mps)
+    low, high = nees_interval()
+    nees = nees_of(error(x), P[:, BURN_IN:])
+    assert ((nees >= low) & (nees <= high)).mean() >= 0.90
+    assert abs(nees.mean() - 3.0) < 1.0
+    filtered = np.linalg.norm(error(track["x"]), axis=-1)
+    assert np.linalg.norm(error(x), axis=-1).mean() < 0.8 * filtered.mean()

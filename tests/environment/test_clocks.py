@@ -8,21 +8,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.recorded import TrackSource
 from mmwave_env.datasets.samples import read_track, sample_folder
-from mmwave_env.engines.engine import Engine, run_imm
-from mmwave_env.engines.smoothing import SMOOTHED, smooth
-from mmwave_env.filters import Pipeline, textbook
-from mmwave_env.filters.bank import Bank, best_bank, modes_from
-from mmwave_env.filters.mode_smoothing import smooth_modes
-from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.engines.engine import run_imm
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import BIAS_SIGMA_M, RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.filters.tracks import around_a_block, replay, seeded, street_source, unpacked
+from tests.filters.tracks import around_a_block, replay, seeded, street_source
 from tests.localization.mistakes import linear, renamed, wrong_log
-from tests.paths import representative
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
@@ -129,35 +124,6 @@ def test_the_offset_is_estimated_with_a_correct_standard_deviation():
     assert np.sqrt(np.median(error**2)) < 0.5
     assert 0.93 < (abs(error) < 1.96 * sigma).mean() < 0.97
     assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi2(3).median()
-
-
-@pytest.mark.parametrize("clock", ["offset", "free"])
-@pytest.mark.parametrize("planar", representative([False, True], False))
-def test_smoothed_tracks_equal_the_textbook(planar, clock):
-    source = street_source(radio="standard", epochs=50, clock=clock)
-    bank = Bank(modes_from(["ukf"], "standard"))
-    pipeline = Pipeline(bank.modes, source.layout, planar)
-    batch = source.sample_batch(keys_of(range(3)))
-    names = ("x", "P", "P_predicted", SMOOTHED)
-    kept = run_imm(bank, TrackingReward(), batch, "mixture", planar=planar)
-    engine = Engine(pipeline, 3, observation="")
-    engine.load(batch)
-    x, P, P_predicted, tracks = engine.run(*names).values()
-    free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
-    hz_per_mps = STREET.hz_per_mps
-    time_s = np.arange(50.0)
-    drive = hz_per_mps if clock == "offset" else None
-    steps = np.tile(np.diff(time_s, prepend=0.0), (3, 1))
-    smoothed = smooth(pipeline, tracks, steps, hz_per_mps)
-    spread = batch.table[:, :, -7]
-    by_modes = smooth_modes(bank, pipeline, kept["mixture"], steps, spread, hz_per_mps)
-    for e in range(3):
-        expected_x, expected_P = textbook.rts(
-            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, drive
-        )
-        for smoothed_x, smoothed_P in (smoothed, by_modes):
-            assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
-            assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
 
 
 def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
