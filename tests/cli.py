@@ -60,9 +60,9 @@ def python(code, *options, cwd=ROOT):
     return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
 
 
-def printed(code, cwd=ROOT):
+def printed(code):
     """Run Python code in another process, check that it succeeds, and return what it prints."""
-    done = python(code, cwd=cwd)
+    done = python(code)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

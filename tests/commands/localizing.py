@@ -40,5 +40,6 @@ def refused(arguments, cwd=ROOT):
     return done.stdout, line
 
 
-def lines_of(name="log.csv"):
-    return (WALK / name).read_text().splitlines()
+def lines_of():
+    """Return the lines of the walk's log."""
+    return (WALK / "log.csv").read_text().splitlines()

@@ -33,7 +33,7 @@ SOURCES = {
 }
 
 
-def tasks(clock="offset", **arguments):
+def tasks(clock, **arguments):
     """Return two tasks: the user's clock is synchronized in the first and not in the second."""
     return [task_from(clock=name, **arguments) for name in ("synchronized", clock)]
 
@@ -88,7 +88,9 @@ def test_no_offset_is_added_to_the_ranges_of_a_log():
 
 def biases(n, **arguments):
     """Return the range biases (n, T) in m of n episodes with a clock offset, and the episodes."""
-    plain, shifted = (task.simulated.episodes(keys_of(range(n))) for task in tasks(**arguments))
+    plain, shifted = (
+        task.simulated.episodes(keys_of(range(n))) for task in tasks("offset", **arguments)
+    )
     return np.array([bias_of(*pair) for pair in zip(plain, shifted, strict=True)]), shifted
 
 

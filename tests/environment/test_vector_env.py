@@ -84,7 +84,7 @@ def native(n=9, mode="NextStep", **arguments):
     return gym.make_vec(ID, num_envs=n, autoreset_mode=mode, **arguments)
 
 
-def sync(n=9, mode="NextStep", **arguments):
+def sync(n, mode="NextStep", **arguments):
     return gym.make_vec(
         ID,
         num_envs=n,

@@ -39,9 +39,9 @@ def forward(env, actions):
     return results
 
 
-def rollout(env, seed, steps=40, actions=0):
-    """Return the results of a reset and of random steps; ``actions`` is the seed of the actions."""
-    rng = np.random.default_rng(actions)
+def rollout(env, seed, steps):
+    """Return the results of a reset and of random steps."""
+    rng = np.random.default_rng(0)
     n = env.single_action_space.n
     results = [env.reset(seed=seed)]
     for _ in range(steps):

@@ -134,7 +134,7 @@ def iterated(iterations, sensor, x, P, z, R, *gate):
     return Update(iterate, A @ P @ A.T + K @ R @ K.T, *judged)
 
 
-def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
+def textbook_imm(episode, modes, transitions, nis_quantile, change):
     """Run the IMM of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6, without gates.
 
     ``modes`` are pairs (method, Q of one second); noise is not adapted. ``transitions`` has one
@@ -161,7 +161,6 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
             P[j] = step.P
             log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()
         probability = textbook.reweigh(predicted, log_likelihood)
-        if change:
-            probability = change(t, probability)
+        probability = change(t, probability)
         out.append((*textbook.combine(probability, x, P), probability))
     return [np.array(column) for column in zip(*out, strict=True)]

@@ -27,10 +27,13 @@ from tests.filters.tracks import process_noise, unpacked
 few = settings(max_examples=6)
 
 
-def epoch_of(problem, dt=0.7, snr_db=20.0, spread_hz=300.0):
+SPREAD_HZ = 300.0
+
+
+def epoch_of(problem):
     visible = problem.visible.astype(float).tolist()
     rows = problem.z.tolist(), np.sqrt(problem.R).tolist(), visible
-    return Epoch(dt, *rows, [snr_db] * problem.sensor.links, spread_hz)
+    return Epoch(0.7, *rows, [20.0] * problem.sensor.links, SPREAD_HZ)
 
 
 def layout_of(problem):
@@ -60,7 +63,7 @@ def test_an_epoch_of_a_mode_equals_the_textbook(mode, lockout, data):
         gamma=gamma, lockout=lockout, snr_mean_db=[20.0, 20.0 + drop_db]
     )
     scale = gamma if mode.adaptive else 1.0
-    Q = process_noise(mode, epoch.dt, 300.0, scale)
+    Q = process_noise(mode, epoch.dt, SPREAD_HZ, scale)
     x, P = textbook.predict(problem.x, problem.P, Q, epoch.dt)
     if mode.acceleration_mps2:
         x = np.array(accelerate(x.tolist(), mode.acceleration_mps2, epoch.dt))
@@ -96,16 +99,11 @@ def test_a_blockage_aware_mode_inflates_the_noise_of_a_link_with_low_snr(now_db,
     assert_allclose(variance, [4.0 * factor] * 4 + [4.0])
 
 
-def outcome(nis, accepted, passed=0.0, log_likelihood=0.0, x=(0.0,) * 7):
-    return ModeResult(list(x), [], [], [], nis, accepted, passed, log_likelihood)
-
-
 def test_the_nis_of_outliers_is_limited_to_a_quantile_when_modes_are_compared():
     cap = chi2.ppf(0.999, [4, 4, 1])
     nis = np.array([3.0, 50.0, 40.0])
-    capped = capped_log_likelihood(
-        outcome(nis.tolist(), [], log_likelihood=-50.0), Layout(2).widths
-    )
+    result = ModeResult([], [], [], [], nis.tolist(), [], 0.0, -50.0)
+    capped = capped_log_likelihood(result, Layout(2).widths)
     assert capped == pytest.approx(-50.0 + 0.5 * np.maximum(nis - cap, 0.0).sum())
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.signal import lfilter
 
 from mmwave_env.engines.engine import Engine
 from mmwave_env.filters import Mode, Pipeline, textbook
@@ -61,14 +62,14 @@ def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
     return [spoiled(sampled(source, [seed, i]), i) for i in range(n)]
 
 
-def around_a_block(corner=(10.0, -20.0)):
+def around_a_block():
     """Return a trajectory of 90 s along two sides of a block; speed and time step vary."""
     time_s = np.cumsum(np.tile([0.4, 1.0, 2.1, 0.8], 21)) + 1000.0
     passed = time_s - time_s[0]
     traveled = 2.0 * passed + 4.0 * np.sin(passed / 9.0)
     x = np.minimum(traveled, 80.0)
     y = np.maximum(traveled - 80.0, 0.0)
-    position = np.column_stack([corner[0] + x, corner[1] - y, np.full(len(x), 1.5)])
+    position = np.column_stack([10.0 + x, -20.0 - y, np.full(len(x), 1.5)])
     return Trajectory("block", time_s, position)
 
 
@@ -101,6 +102,16 @@ def some_rows(episode, rng, share):
     return replace(whole, measurement=measurement, visible=visible, doppler_anchor=anchor)
 
 
+def lasting(rng, n, columns, keep):
+    """Return a stationary Gauss-Markov process (n, columns) of variance 1.
+
+    ``keep`` is the correlation of neighboring numbers.
+    """
+    noise = rng.standard_normal((n, columns))
+    noise[1:] *= np.sqrt(1.0 - keep**2)
+    return lfilter([1.0], [1.0, -keep], noise, axis=0)
+
+
 def process_noise(mode, dt=1.0, spread_hz=0.0, gamma=1.0, hz_per_mps=HZ_PER_MPS):
     """Return Q (7, 7) of a step, computed as documented: discrete white-noise acceleration."""
     velocity = np.square([mode.sigma_v, mode.sigma_v, mode.sigma_vz])
@@ -118,8 +129,7 @@ class OwnModel:
     """Model of users whose start, motion and measurements are exactly as a filter assumes.
 
     ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state. Q (7, 7)
-    is the process noise of one second. The noise has the standard deviations ``sigma`` (rows,)
-    times exp(``fading`` N(0, 1)). Groups of rows are visible with probability ``detection``.
+    is the process noise of one second. The noise has the standard deviations ``sigma`` (rows,).
     """
 
     sensor: textbook.Sensor
@@ -127,8 +137,6 @@ class OwnModel:
     prior: np.ndarray
     Q: np.ndarray
     sigma: np.ndarray
-    detection: float = 1.0
-    fading: float = 0.0
 
     def draw(self, rng, epochs):
         """Draw an episode with steps of 1 s."""
@@ -138,11 +146,10 @@ class OwnModel:
         for _ in range(epochs - 1):
             x.append(textbook.F(1.0) @ x[-1] + noise @ rng.standard_normal(7))
         x = np.array(x)
-        shape = (epochs, len(self.sigma))
-        sigma = self.sigma * np.exp(self.fading * rng.standard_normal(shape))
-        z = np.array([sensor.h(state) for state in x]) + sigma * rng.standard_normal(shape)
+        sigma = np.tile(self.sigma, (epochs, 1))
+        z = np.array([sensor.h(state) for state in x]) + sigma * rng.standard_normal(sigma.shape)
         z[:, sensor.angles] = wrapped(z[:, sensor.angles])
-        visible = rng.random((epochs, len(groups_of(sensor)))) < self.detection
+        visible = np.ones((epochs, len(groups_of(sensor))), bool)
         received = visible, np.full((epochs, sensor.links), 30.0), np.zeros(epochs)
         belief = (self.start, np.diag(self.prior**2))
         truth = (x[:, :3], x[:, 3:6])
@@ -152,7 +159,7 @@ class OwnModel:
         return Episode("own model", *where, times, z, sigma, *received, *belief, layout, *truth)
 
 
-def far_from_the_anchors(Q, **options):
+def far_from_the_anchors(Q):
     """Return an OwnModel whose measurements are nearly linear within the filters' uncertainty."""
     anchors = np.array([[-60.0, 120.0, 40.0], [160.0, 60.0, 60.0], [40.0, -150.0, 50.0]])
     return OwnModel(
@@ -161,7 +168,6 @@ def far_from_the_anchors(Q, **options):
         prior=np.array([1.5, 1.5, 0.5, 1.0, 1.0, 0.1, 50.0]),
         Q=Q,
         sigma=np.array([0.5, 0.02, 0.02, 0.02] * 3 + [20.0]),
-        **options,
     )
 
 

@@ -173,7 +173,7 @@ SLUGGISH = Mode("sluggish", sigma_v=0.05)  # diverges in about half of all vehic
 DIVERGING = {"scenario": "vehicle", "episode_steps": 40, "modes": [SLUGGISH]}
 
 
-def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
+def imm_rewards(seed, episodes, reward, **task):
     """Return the IMM's rewards (episodes, epochs) in the first episodes of a seed."""
     bank = Bank(default_modes("handset"))
     keys = keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64))
@@ -230,6 +230,6 @@ def test_a_paired_return_is_the_return_minus_the_imms_return_even_if_an_episode_
             returns.append(earned)
             ended += terminated
         paired, tracking = returns
-        imm = imm_rewards(seed, 1, **DIVERGING).sum(dtype=float)
+        imm = imm_rewards(seed, 1, REWARDS["tracking"], **DIVERGING).sum(dtype=float)
         assert paired == pytest.approx(tracking - imm, rel=1e-5)
     assert 3 <= ended / 2 <= 9

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
-from scipy.signal import lfilter
 
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.filters.bank import modes_from
@@ -17,6 +16,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Streets
 from policies.rules import by_predicted_speed
 from tests.cli import command, succeed
+from tests.filters.tracks import lasting
 from tests.localization.mistakes import differences, wrong_log
 
 ANCHORS = np.array([[0.2, 0.2, 2.6], [3.8, 0.4, 2.2], [3.7, 12.6, 2.7], [0.3, 12.8, 2.0]])
@@ -31,15 +31,7 @@ ROOM = Scene(
 )
 
 
-def lasting(rng, n, columns, tau_s, dt_s=0.01):
-    """Return a stationary Gauss-Markov process (n, columns) of variance 1."""
-    keep = np.exp(-dt_s / tau_s)
-    noise = rng.standard_normal((n, columns))
-    noise[1:] *= np.sqrt(1.0 - keep**2)
-    return lfilter([1.0], [1.0, -keep], noise, axis=0)
-
-
-def room(folder, wild, seed, place_s=8.0):
+def room(folder, wild, seed):
     """Write a log as receivers of open stacks do; return the true positions by time.
 
     A user stands at six places in a room, 100 epochs per second. Ranges come in whole samples, and
@@ -47,7 +39,7 @@ def room(folder, wild, seed, place_s=8.0):
     of ranges that are 20 to 300 m off. Return also a log without these.
     """
     rng = np.random.default_rng(seed)
-    each = round(place_s * 100)
+    each = 800
     n = 6 * each
     place = np.arange(n) // each
     position = np.column_stack([PLACES[place], np.full(n, HEIGHT_M)])
@@ -64,7 +56,7 @@ def room(folder, wild, seed, place_s=8.0):
     bias = rng.uniform(1.0, 2.0, 4) * rng.choice([-1, 1], 4)
     jumps = np.where(rng.random(n) < 1 / 3, rng.normal(0.0, 3000.0, n), np.nan)
     clock = pd.Series(jumps).ffill().fillna(0.0).to_numpy()
-    measured = exact + 0.8 * lasting(rng, n, 4, 0.3) + bias + far + clock[:, None]
+    measured = exact + 0.8 * lasting(rng, n, 4, np.exp(-0.01 / 0.3)) + bias + far + clock[:, None]
     rows = pd.DataFrame({
         "time_s": np.repeat(time_s, 4).round(3),
         "anchor": np.tile([1, 2, 3, 4], n),

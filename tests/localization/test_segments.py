@@ -17,9 +17,9 @@ HANDSET = RADIOS["handset"]
 LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 
 
-def log(time_s, groups_seen, odometry=True):
+def log(time_s, groups_seen):
     """Return a log with two anchors; ``groups_seen`` has, for each epoch, the visible groups."""
-    layout = Layout(2, odometry)
+    layout = Layout(2, odometry=True)
     visible = np.zeros((len(time_s), len(layout.groups)), bool)
     for epoch, groups in enumerate(groups_seen):
         visible[epoch, list(groups)] = True

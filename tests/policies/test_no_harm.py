@@ -20,6 +20,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import lasting
 
 pytestmark = pytest.mark.slow
 
@@ -68,15 +69,11 @@ def misplaced(up_m=0.0, apart_m=0.0):
     return misplace
 
 
-def slow_noise(episode, size=2.0, kept=0.99):
+def slow_noise(episode):
     """Return an episode with additional errors that change slowly, twice the stated noise."""
     rng = np.random.default_rng(abs(episode.measurement[0, 0].view(np.int64)))
-    drawn = rng.standard_normal((len(episode), 12))
-    errors = drawn.copy()
-    for t in range(1, len(episode)):
-        errors[t] = kept * errors[t - 1] + np.sqrt(1.0 - kept**2) * drawn[t]
     z = episode.measurement.copy()
-    z[:, :12] += size * errors * episode.sigma[:, :12]
+    z[:, :12] += 2.0 * lasting(rng, len(z), 12, keep=0.99) * episode.sigma[:, :12]
     return replace(episode, measurement=z)
 
 
@@ -178,21 +175,21 @@ def shared_gain(policy, error, radio, start, n=N):
     return gains_from(start, source, episodes, radio, policy)
 
 
-def print_shared(policy="corrector", n=300):
+def print_shared(policy="corrector"):
     """Print how a corrector fares where all links are wrong together (docs/learning.md)."""
     print(f"| error | radio | {' | '.join(STARTS)} |\n|---|---|---|---|")
     for error in SHARED:
         for radio in ("handset", "standard"):
-            gains = [shared_gain(policy, error, radio, start, n) for start in STARTS]
+            gains = [shared_gain(policy, error, radio, start, 300) for start in STARTS]
             means = " | ".join(map(str, bootstrap(gains)))
             print(f"| {error} | {radio} | {means} |")
 
 
-def print_table(n=300):
+def print_table():
     """Print the tables of docs/learning.md."""
     print("| case | radio | minus guided | trusted |\n|---|---|---|---|")
     for case, (_, radio, _) in CASES.items():
-        gains, trusted = gain(case, n)
+        gains, trusted = gain(case, 300)
         (mean,) = bootstrap([gains])
         share = trusted[:, 10:].mean()
         print(f"| {case} | {radio} | {mean} | {share:.2f} |")

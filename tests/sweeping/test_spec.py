@@ -20,9 +20,10 @@ seed = [0, 10]
 POLICY = '[evaluate]\npolicy = "imm"\n'
 
 
-def spec_of(tmp_path, text, name="grid.toml"):
-    (tmp_path / name).write_text(text)
-    return read_spec(tmp_path / name)
+def spec_of(tmp_path, text):
+    path = tmp_path / "grid.toml"
+    path.write_text(text)
+    return read_spec(path)
 
 
 def test_every_combination_of_values_is_a_cell(tmp_path):

@@ -46,9 +46,9 @@ def actor(features=FEATURES, actions=3, hidden=(5, 4), seed=0):
     return tensors
 
 
-def write_per_mode(path, seed=0, **changes):
+def write_per_mode(path, **changes):
     """Write the policy file of an actor for one belief per mode; return its path."""
-    tensors = actor(len(PER_MODE_TABLE), actions=4, seed=seed)
+    tensors = actor(len(PER_MODE_TABLE), actions=4)
     return write(path, tensors, card_of(PER_MODE_TABLE, **PER_MODE | changes))
 
 

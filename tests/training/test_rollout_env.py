@@ -35,8 +35,8 @@ def task(beliefs="per-mode", places=PLACES, banks=BANKS):
     return TrainingTask("mixed", places, banks, "full", TrackingReward(), beliefs)
 
 
-def environment(of=None, n=16, seed=SEED):
-    return RolloutEnv(of or task(), n, HORIZON, DISCOUNT, seed)
+def environment(of=None):
+    return RolloutEnv(of or task(), 16, HORIZON, DISCOUNT, SEED)
 
 
 def chaotic(actions):
@@ -44,9 +44,9 @@ def chaotic(actions):
     return lambda observed: (np.abs(observed[:, 1:9]).sum(1) * 1e4).astype(np.int64) % actions
 
 
-def stepped(env, epochs=EPOCHS, seed=0):
+def stepped(env, epochs=EPOCHS):
     """Step an environment with random actions; return the actions (epochs, n)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     actions = rng.integers(len(env.observation.actions), size=(epochs, len(env.observations)))
     for now in actions:
         env.step(now)
