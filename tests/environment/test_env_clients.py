@@ -205,15 +205,3 @@ def test_an_unknown_argument_raises_the_usual_error_of_python(make, name):
     """Check the exact message, which makes TorchRL try again without `frameskip`."""
     with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'"):
         make(ID, **{name: 1})
-
-
-@pytest.mark.slow
-def test_the_class_accepts_all_arguments_in_one_dict_as_rllib_passes_them():
-    config = {"scenario": "vehicle", "observation": "prior", "episode_steps": 20}
-    env = MmWaveLocEnv(config)
-    other = MmWaveLocEnv(**config)
-    np.testing.assert_array_equal(env.reset(seed=1)[0], other.reset(seed=1)[0])
-    assert env.source.scenario == "vehicle"
-    assert MmWaveLocEnv({}).action_space == MmWaveLocEnv().action_space
-    with refuses("scenery", error=TypeError):
-        MmWaveLocEnv({"scenery": "vehicle"})

@@ -1,17 +1,14 @@
 """Tests of the argument ``measurements``, for receivers that do not measure every quantity."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.recorded import TrackSource
 from mmwave_env.datasets.samples import read_track, sample_folder
-from mmwave_env.filters import Mode, ekf
 from mmwave_env.models.layout import MEASUREMENTS, Layout
 from mmwave_env.task import task_from
 from tests.filters.tracks import around_a_block, replay, street_source
-from tests.paths import representative
 from tests.refusals import refuses
 
 SUBSETS = [("range", "azimuth"), ("azimuth", "elevation", "departure"), ("departure", "doppler")]
@@ -49,40 +46,11 @@ def test_the_measured_rows_equal_the_rows_of_the_complete_episode(arguments, sub
     assert some.nonfinite == 0
 
 
-def rewards(**arguments):
-    """Return the rewards of an episode of 20 epochs in which every action is 0."""
-    env = gym.make("mmwave_env:MmWaveLoc-v0", episode_steps=20, **arguments)
-    env.reset(seed=3)
-    return [env.step(0)[1] for _ in range(20)]
-
-
 def test_all_subsets_share_one_compiled_simulation():
     sources = [street_source(epochs=40, measurements=subset) for subset in SUBSETS]
     worlds = {id(source.world) for source in sources}
     assert len(worlds) == 1
     assert not np.array_equal(*[source.episode(5).visible for source in sources[1:]])
-
-
-TASKS = {
-    "some measurements": {"measurements": ["azimuth", "departure"]},
-    "clock": {"clock": "offset"},
-    "clock and odometry": {"clock": "offset", "odometry": True},
-}
-
-
-@pytest.mark.parametrize("name", representative(TASKS, "some measurements"))
-def test_every_receiver_works_with_own_algorithms_filterpy_and_paired_rewards(name):
-    def mine(x, P, measurement, gate):
-        return ekf(x, P, measurement, gate)
-
-    asked = TASKS[name]
-    lanes = rewards(**asked, modes=["ekf"], backend="lanes")
-    twin = rewards(**asked, modes=["ekf"], backend="filterpy")
-    assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
-    own = rewards(**asked, modes=[Mode("mine", mine)])
-    ours = rewards(**asked, modes=[Mode("mine", "ekf")])
-    assert_array_equal(own, ours)
-    assert np.isfinite(rewards(**asked, reward="paired")).all()
 
 
 @pytest.mark.parametrize(

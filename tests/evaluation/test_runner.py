@@ -63,9 +63,10 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
     taken = []
     watch = [lambda _, episodes, results: taken.extend(results["mode"].tolist())]
     seeds = range(2)
-    (scores,) = score_contenders([contender], SOURCE, seeds, watch=watch).values()
+    source = replace(SOURCE, dt=0.5)
+    (scores,) = score_contenders([contender], source, seeds, watch=watch).values()
     assert set(scores) == {*METRICS, "error_term", "nees_term"}
-    env = gym.make("MmWaveLoc-v0", beliefs=beliefs, modes=contender.filters)
+    env = gym.make("MmWaveLoc-v0", dt=0.5, beliefs=beliefs, modes=contender.filters)
     for e in range(2):
         policy = contender.policy(env.unwrapped.observation)
         observation, _ = env.reset(seed=e)

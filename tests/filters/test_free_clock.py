@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import Bank, modes_from
-from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, predict_update
@@ -29,7 +28,6 @@ from tests.filters.tracks import (
     track,
     wrapped,
 )
-from tests.paths import representative
 
 STATE = np.array([0.0, 0.0, 1.5, 1.0, 0.0, 0.0, 0.0])
 LIMIT = 6.6349  # 99 % quantile of chi-square with one degree of freedom
@@ -173,18 +171,6 @@ def test_a_range_alone_only_sets_the_clock_and_does_not_end_a_lockout():
     assert result.x[7] == pytest.approx(700.0)
     assert result.passed == 0.0
     assert result.nis[0] == 1.0
-
-
-@pytest.mark.parametrize("algorithm", representative(["ekf", "ukf", "ckf"], "ukf"))
-def test_filterpy_tracks_the_same(algorithm):
-    source = street_source(radio="standard", epochs=40, clock="free")
-    episodes = [sampled(source, seed) for seed in range(2)]
-    pipeline = Pipeline(modes_from([algorithm], "standard"), source.layout)
-    ours, twin = (
-        track(p, episodes, 0, 40, ("x", "P", "memory"), on_floats=True)
-        for p in (pipeline, filterpy_pipeline(pipeline))
-    )
-    assert_same_beliefs(twin, ours, rtol=1e-8)
 
 
 @pytest.mark.slow  # runs many episodes

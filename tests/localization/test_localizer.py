@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
-from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import Localizer, localize
@@ -28,7 +27,6 @@ from policies.corrector import TWO_WAY, TwoWayCorrector
 from policies.rules import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import drawn, geometry, track
 from tests.logs.by_hand import assert_same, damaged, log_with, write_log
-from tests.paths import representative
 
 SCENE = SCENES["street"]
 RADIO = RADIOS["handset"]
@@ -108,13 +106,6 @@ def assert_engines(result, block, modes, planar=False):
     assert_array_equal(result.visible, episode.usable)
     assert_array_equal(result.incomplete, block.incomplete[2:])
     assert result.skipped == 2 and (~result.visible[0, 0]).all()
-
-
-@pytest.mark.parametrize("mode", representative([EKF, robust(UKF)], EKF))
-def test_a_track_in_one_mode_equals_the_track_of_the_engine(block, mode):
-    result = run(block, (mode,))
-    assert_engines(result, block, [mode])
-    assert (result.mode == 0).all()
 
 
 @pytest.mark.parametrize("odometry", [False, pytest.param(True, marks=pytest.mark.slow)])
