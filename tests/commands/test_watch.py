@@ -4,29 +4,15 @@ import re
 import shlex
 import sys
 
-import numpy as np
 import pytest
 
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
 pytest.importorskip("pygame")
+from tests.rendering.test_video import gif
+
 SHORT = ("--episode-steps", 12)
-
-
-def frames(path):
-    """Return the number of pictures in a GIF, and their width and height."""
-    image = pytest.importorskip("PIL.Image")
-    with image.open(path) as file:
-        return file.n_frames, file.size
-
-
-def picture(path, number):
-    """Return one picture of a GIF as an array (height, width, 3)."""
-    image = pytest.importorskip("PIL.Image")
-    with image.open(path) as file:
-        file.seek(number)
-        return np.asarray(file.convert("RGB"), int)
 
 
 @pytest.fixture
@@ -41,11 +27,11 @@ def window(monkeypatch):
 
 
 def test_policies_are_shown_side_by_side_and_the_first_picture_shows_the_prior(tmp_path):
-    pytest.importorskip("PIL")
     out = tmp_path / "new" / "both.gif"
     words = ("--policies", "fixed-ekf", "imm", *SHORT, "--seed", 3, "--render-size", 500)
     shown = succeed("watch", *words, "--out", out)
-    assert frames(out) == (13, (1000, 500))
+    pictures, _ = gif(out)
+    assert pictures.shape == (13, 500, 1000, 3)
     title, first, second, written = shown.splitlines()
     assert re.fullmatch(r"\w+, seed 3, 0 to 11 s", title)
     assert re.fullmatch(r"fixed-ekf: [\d.]+ m off on average, [\d.]+ m at most", first)
@@ -107,13 +93,14 @@ def test_the_error_without_a_display_names_the_variables_and_the_option_out(monk
 def test_the_documented_command_makes_the_shipped_animation(tmp_path):
     pages = {path.name: path.read_text("utf-8") for path in (ROOT / "docs").glob("*.md")}
     (line,) = re.findall(r"^mmwave-loc (watch .*docs/watch.gif)$", pages["commands.md"], re.M)
-    made = tmp_path / "watch.gif"
-    shipped = ROOT / "docs" / "watch.gif"
-    shown = succeed(*shlex.split(line.replace("docs/watch.gif", str(made))))
-    assert frames(made) == frames(shipped)
+    file = tmp_path / "watch.gif"
+    shown = succeed(*shlex.split(line.replace("docs/watch.gif", str(file))))
+    made, _ = gif(file)
+    shipped, _ = gif(ROOT / "docs" / "watch.gif")
+    assert made.shape == shipped.shape
     # Bytes are not compared, because math libraries, font engines and palettes differ slightly.
-    for number in (0, 20, frames(shipped)[0] - 1):
-        differs = (abs(picture(made, number) - picture(shipped, number)) > 4).any(axis=-1)
-        assert differs.mean() < 0.01
+    for number in (0, 20, -1):
+        differs = abs(made[number].astype(int) - shipped[number]) > 4
+        assert differs.any(axis=-1).mean() < 0.01
     rule, learned = (float(n) for n in re.findall(r": ([\d.]+) m off on average", shown))
     assert learned < 3.0 < rule

@@ -78,19 +78,11 @@ def test_a_correction_changes_the_reported_belief_and_not_the_filters(episodes):
             assert_allclose(output[7:35], pack(expected.P), rtol=1e-12)
 
 
-class Given:
-    """An agent that takes given actions."""
-
-    def __init__(self, actions):
-        self._actions = iter(actions)
-
-    def __call__(self, observations):
-        return next(self._actions)
-
-
 def test_corrections_in_an_environment_are_those_of_a_track_with_the_same_choices(episodes):
-    choices = [*ACTIONS, np.zeros(N, np.int64)]
-    environment = engine_of(episodes, action=CORRECTION, base=lambda table: Given(choices))
+    choices = iter([*ACTIONS, np.zeros(N, np.int64)])
+    environment = engine_of(
+        episodes, action=CORRECTION, base=lambda table: lambda observed: next(choices)
+    )
     environment.show(after_update(environment.pipeline))
     environment.load(episodes)
     environment.step()

@@ -26,6 +26,8 @@ from tests.refusals import refuses
 ID = "MmWaveLoc-v0"
 AUTORESET = ["NextStep", "SameStep", "Disabled"]
 EKF = {"modes": ["ekf"]}
+STAY = np.zeros(3, int)  # actions
+FIRST = {"reset_mask": np.array([True, False, False])}
 
 
 class Patchy:
@@ -235,9 +237,9 @@ def test_the_action_of_a_resetting_environment_is_ignored(action):
 def test_a_step_before_reset_is_refused():
     env = native(3, **EKF)
     with pytest.raises(ResetNeeded):
-        env.step(np.zeros(3, int))
+        env.step(STAY)
     with pytest.raises(ResetNeeded):
-        env.reset(options={"reset_mask": np.array([True, False, False])})
+        env.reset(options=FIRST)
 
 
 def test_a_step_after_a_failed_reset_is_refused(monkeypatch):
@@ -248,18 +250,18 @@ def test_a_step_after_a_failed_reset_is_refused(monkeypatch):
         with pytest.raises(ZeroDivisionError):
             env.reset(seed=1)
     with pytest.raises(ResetNeeded):
-        env.step(np.zeros(3, int))
+        env.step(STAY)
     env.reset(seed=1)
-    env.step(np.zeros(3, int))
+    env.step(STAY)
 
 
 def test_the_error_about_a_step_after_the_end_names_the_environments():
     env = native(3, "Disabled", episode_steps=1, **EKF)
     env.reset(seed=0)
-    env.step(np.zeros(3, int))
-    env.reset(options={"reset_mask": np.array([True, False, False])})
+    env.step(STAY)
+    env.reset(options=FIRST)
     with pytest.raises(ResetNeeded, match=r"environments \[1, 2\] are over.*reset_mask"):
-        env.step(np.zeros(3, int))
+        env.step(STAY)
 
 
 @pytest.mark.parametrize("seed", [[1, 2], -1, [1, 2, -3], 1.5, "abc", np.array([0.0, 1.0, 2.0])])

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.slow
 ALGORITHMS = ("ekf", "ukf", "ckf")
 DOF = [4, 4, 4, 1]
 TUNING = {"sigma_v": 0.3, "adaptive": False}
+algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
 
 
 @pytest.fixture(scope="module")
@@ -64,19 +65,19 @@ def assert_chi_square_means(means, dof):
     assert not outside.any(), np.stack([low, means.ravel(), high], axis=1)[outside]
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@algorithms
 def test_nees_of_the_position_is_chi_square(runs, algorithm):
     nees, *_ = runs[algorithm]
     assert_chi_square_means(nees[list(CHECKED)].mean(axis=1), 3)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@algorithms
 def test_nis_of_every_group_is_chi_square(runs, algorithm):
     _, nis, *_ = runs[algorithm]
     assert_chi_square_means(nis[list(CHECKED)].mean(axis=1), DOF)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@algorithms
 def test_gate_rejects_one_good_group_in_a_hundred(runs, algorithm):
     _, _, rejected, *_ = runs[algorithm]
     trials = RUNS * EPOCHS
@@ -86,7 +87,7 @@ def test_gate_rejects_one_good_group_in_a_hundred(runs, algorithm):
     assert np.all((counts >= low) & (counts <= high)), (low, counts, high)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@algorithms
 def test_errors_exceed_protection_levels_with_the_stated_probability(runs, algorithm):
     *_, errors, P = runs[algorithm]
     risks = (0.2, 0.05, 0.01)

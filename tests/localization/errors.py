@@ -75,3 +75,13 @@ def moved(anchor, *meters):
         return reading._replace(scene=reading.scene.with_anchors(anchors))
 
     return error
+
+
+def only(reading, rows):
+    """Return a reading whose log lacks the other rows."""
+    log = reading.log
+    z = np.where(np.isin(np.arange(log.layout.size), rows), log.measurement, np.nan)
+    visible = log.visible.copy()
+    visible[:, -1] &= log.layout.doppler in rows
+    layout = replace(log.layout, partial=True)
+    return reading._replace(log=replace(log, layout=layout, measurement=z, visible=visible))

@@ -43,6 +43,18 @@ def doubts_of(block):
     return [str(doubt) for doubt in contradictions(block, SCENE, RADIO, groups)]
 
 
+def shifted(log, doppler_hz):
+    """Return the log with other Doppler shifts."""
+    measurement = log.measurement.copy()
+    measurement[:, log.layout.doppler] = doppler_hz
+    return replace(log, measurement=measurement)
+
+
+def shifts(block):
+    """Return the Doppler shifts (T,) of a log."""
+    return block.measurement[:, block.layout.doppler]
+
+
 @pytest.mark.parametrize("world", WORLDS[::4], ids=lambda w: f"{w[0].name}-{w[1].name}-{w[2]}")
 def test_a_correct_log_causes_no_warning(tmp_path, world):
     radio, scene, kind = world
@@ -98,27 +110,23 @@ def test_impossible_measurements_cause_a_warning(block):
 
 @pytest.mark.parametrize("factor", [-1.0, 1e-3, 1.0 / SCENE.hz_per_mps, 3.0])
 def test_a_doppler_shift_that_contradicts_the_range_causes_a_warning(block, factor):
-    measurement = block.measurement.copy()
-    measurement[:, block.layout.doppler] *= factor
-    measurement[::20, 0] = np.nan  # as in a partial log
-    (line,) = doubts_of(replace(block, measurement=measurement))
+    wrong = shifted(block, factor * shifts(block))
+    wrong.measurement[::20, 0] = np.nan  # as in a partial log
+    (line,) = doubts_of(wrong)
     grows = float(line.split("grows by ")[1].split(" m")[0])
     assert grows == pytest.approx(1.0 / factor, rel=0.1)
 
 
 def test_a_doppler_shift_that_is_never_measured_causes_a_warning_if_the_user_moves(block):
-    measurement = block.measurement.copy()
-    measurement[:, block.layout.doppler] = 17.0
-    (line,) = doubts_of(replace(block, measurement=measurement))
+    (line,) = doubts_of(shifted(block, 17.0))
     assert "grows by inf m" in line
 
 
 def test_a_doppler_shift_is_checked_without_snr_if_the_log_states_deviations(block):
-    measurement = block.measurement.copy()
-    measurement[:, block.layout.doppler] *= -1.0
+    wrong = shifted(block, -shifts(block))
     sigma = deviations_of(block, SCENE, RADIO)
     without = np.full_like(block.snr_db, -np.inf)
-    (line,) = doubts_of(replace(block, measurement=measurement, sigma=sigma, snr_db=without))
+    (line,) = doubts_of(replace(wrong, sigma=sigma, snr_db=without))
     assert "grows by -1" in line
 
 
@@ -130,18 +138,19 @@ def test_the_doppler_shift_of_a_steady_walk_causes_a_warning_only_if_it_is_wrong
 ):
     rng = np.random.default_rng(0)
     walk = block.part(slice(180))
-    measurement = walk.measurement.copy()
     x = 0.9 * walk.time_s - 10.0
-    measurement[:, 0] = np.hypot(x, 20.0) + 0.3 * rng.standard_normal(180)
-    shift = factor * SCENE.hz_per_mps * 0.9 * x / np.hypot(x, 20.0)
-    measurement[:, block.layout.doppler] = shift + noise_hz * rng.standard_normal(180)
-    assert bool(doubts_of(replace(walk, measurement=measurement))) == (factor < 0.0)
+    range_m = np.hypot(x, 20.0)
+    measured_m = range_m + 0.3 * rng.standard_normal(180)
+    shift = factor * SCENE.hz_per_mps * 0.9 * x / range_m
+    walk = shifted(walk, shift + noise_hz * rng.standard_normal(180))
+    walk.measurement[:, 0] = measured_m
+    assert bool(doubts_of(walk)) == (factor < 0.0)
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 1e-3, 1.0])
 def test_the_doppler_shift_of_a_user_at_rest_causes_no_warning(block, factor):
     rng = np.random.default_rng(0)
-    measurement = block.measurement.copy()
-    measurement[:, 0] = 50.0 + 0.2 * rng.standard_normal(len(block))
-    measurement[:, block.layout.doppler] = factor * 10.0 * rng.standard_normal(len(block))
-    assert not doubts_of(replace(block, measurement=measurement))
+    range_m = 50.0 + 0.2 * rng.standard_normal(len(block))
+    still = shifted(block, factor * 10.0 * rng.standard_normal(len(block)))
+    still.measurement[:, 0] = range_m
+    assert not doubts_of(still)

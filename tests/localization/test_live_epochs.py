@@ -36,6 +36,10 @@ RADIO = RADIOS["standard"]
 EKF = named_modes()["ekf"]
 
 
+def tracker_of(**options):
+    return Tracker(SCENE, Switching((EKF,)), RADIO, **options)
+
+
 def walk(count=60, **changed):
     """Return the first epochs of a shipped log (lists of dicts by column) with changed columns.
 
@@ -85,7 +89,7 @@ def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, name):
     pd.DataFrame([row for epoch in epochs for row in epoch]).to_csv(path, index=False)
     log = read_log(path, SCENE, **options)
     track = localize(log, SCENE, RADIO, Switching((EKF,)), window=None)
-    tracker = Tracker(SCENE, Switching((EKF,)), RADIO, **options)
+    tracker = tracker_of(**options)
     with patch.object(Episode, "table", autospec=True, side_effect=Episode.table) as careful:
         positions = [tracker.update(epoch) for epoch in epochs]
     np.testing.assert_array_equal([p.position_m for p in positions if p], track.x[:, :3])
@@ -160,7 +164,7 @@ STREAMS = {  # name -> change of the time of an epoch, given its number; epochs 
 def test_live_goes_on_after_wrong_times(stream):
     change, lost = STREAMS[stream]
     epochs = walk()
-    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    tracker = tracker_of()
     positions = []
     for number, rows in enumerate(epochs):
         with suppress(LogError):
@@ -172,7 +176,7 @@ def test_live_goes_on_after_wrong_times(stream):
 
 
 def test_a_clock_that_is_set_back_while_nothing_is_heard_begins_a_new_track():
-    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    tracker = tracker_of()
     begun = []
     for number, rows in enumerate(walk()):
         times = [{"time_s": row["time_s"] - 0.65 * (number >= 38)} for row in rows]
@@ -187,9 +191,9 @@ def test_a_clock_that_is_set_back_while_nothing_is_heard_begins_a_new_track():
 @pytest.mark.parametrize("first", [0, 3])
 def test_rows_may_have_other_keys_than_the_first_row(first):
     """Check that keys may appear later, and that unknown keys are named once and ignored."""
-    whole = Tracker(SCENE, Switching((EKF,)), RADIO)
+    whole = tracker_of()
     expected = [whole.update(rows) for rows in walk(20)]
-    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    tracker = tracker_of()
     positions = []
     for number, rows in enumerate(walk(20)):
         measured = [{k: v for k, v in row.items() if v is not None} for row in rows[::-1]]
@@ -206,14 +210,14 @@ def test_rows_may_have_other_keys_than_the_first_row(first):
 
 def test_the_first_epoch_may_lack_columns_that_a_log_needs():
     epochs = walk(20)
-    whole = Tracker(SCENE, Switching((EKF,)), RADIO)
+    whole = tracker_of()
     expected = [whole.update(rows) for rows in epochs[1:]]
-    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    tracker = tracker_of()
     lost = [{name: row[name] for name in ("time_s", "anchor", "snr_db")} for row in epochs[0]]
     assert tracker.update(lost) is None
     assert [tracker.update(rows) for rows in epochs[1:]] == expected
     with pytest.raises(ValueError, match="say nothing about the horizontal position"):
-        Tracker(SCENE, Switching((EKF,)), RADIO).update(60 * lost)
+        tracker_of().update(60 * lost)
 
 
 LATER = {
@@ -226,7 +230,7 @@ LATER = {
 def test_odometry_that_appears_later_or_a_long_gap_begins_a_new_track(name):
     epochs = walk(20)
     epochs[10:] = [list(map(LATER[name], rows)) for rows in epochs[10:]]
-    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    tracker = tracker_of()
     positions = [tracker.update(rows) for rows in epochs]
     assert [n for n, p in enumerate(positions) if p is None or p.begins] == [0, 10]
     assert ("odometry" in positions[-1].nis) == (name == "odometry")
@@ -263,7 +267,7 @@ def test_users_who_come_and_go_have_the_positions_of_trackers_of_their_own(polic
 
 
 def test_users_who_left_are_forgotten_and_memory_stays_flat():
-    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    tracker = tracker_of()
     first, *_ = walk(1)
     for t in range(200):  # a new user every second, of whom each sends a single epoch
         rows = [row | {"ue": f"user {t}", "time_s": float(t)} for row in first]

@@ -11,7 +11,7 @@ from mmwave_env.localization.log_noise import clock_jumps, noise_notes, with_ran
 from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, RANGE
 from mmwave_env.localization.starts import deviations_of
 from mmwave_env.models.radio import RADIOS
-from tests.localization.errors import STREET, readings
+from tests.localization.errors import STREET, only, readings
 
 READING = readings(1)[0]
 LOG = READING.log
@@ -109,9 +109,8 @@ def test_a_log_too_short_for_shared_errors_is_noted():
 
 def test_jumps_are_noted_alone_and_steps_even_if_no_track_can_begin():
     clock = 3000.0 * (np.arange(len(LOG)) % 3 == 0)
-    log = with_ranges(RANGES + clock[:, None])
-    ranges = np.where(np.isin(np.arange(13), [0, 4, 8]), log.measurement, np.nan)
-    partial = replace(log, measurement=ranges, layout=replace(LOG.layout, partial=True))
+    jumping = READING._replace(log=with_ranges(RANGES + clock[:, None]))
+    partial = only(jumping, [0, 4, 8]).log
     (jumps,) = notes(partial, step_m=2.5)
     assert re.match("the user's clock jumps in 6[67]% of the epochs, by 3e[+]03 m", jumps)
     free = replace(partial, layout=replace(partial.layout, clock="free"))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.contenders import contender_from
-from mmwave_env.datasets.log_folder import log_text, path_columns
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.association import associate
 from mmwave_env.localization.localizer import localize
@@ -18,6 +17,7 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from tests.filters.tracks import drawn
+from tests.logs.by_hand import hide_anchors
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -50,10 +50,7 @@ def paths_of(path):
         visible = episode.visible.copy()
         visible[blocked, 0] = False
         episode = replace(episode, visible=visible)
-        columns = path_columns(episode, false_paths, np.random.default_rng(seed))
-        for name in without:
-            del columns[name]
-        path.write_text(log_text(columns))
+        hide_anchors(path, episode, false_paths, seed, without)
         return read_paths(path, scene), episode
 
     return make

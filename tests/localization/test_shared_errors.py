@@ -28,6 +28,7 @@ from tests.localization.errors import (
     late,
     mode_of,
     moved,
+    only,
     readings,
     shifted,
     tilted,
@@ -185,16 +186,6 @@ def test_most_errors_in_simulated_logs_are_named(case, scenario):
 def test_correct_logs_seldom_show_an_error(radio, scenario):
     alarms = [bool(errors_of(r)) for r in readings(100, radio, scenario)]
     assert sum(alarms) <= 3
-
-
-def only(reading, rows):
-    """Return a reading whose log lacks the other rows, and the Doppler shift."""
-    log = reading.log
-    z = np.where(np.isin(np.arange(log.layout.size), rows), log.measurement, np.nan)
-    visible = log.visible.copy()
-    visible[:, -1] = False
-    layout = replace(log.layout, partial=True)
-    return reading._replace(log=replace(log, layout=layout, measurement=z, visible=visible))
 
 
 @pytest.mark.parametrize("rows", [[0, 4, 8], [0, 1, 4, 5, 8, 9]], ids=["ranges", "with azimuths"])

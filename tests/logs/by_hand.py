@@ -118,9 +118,14 @@ def require_pyarrow(suffix):
         pytest.importorskip("pyarrow")
 
 
-def hide_anchors(path, episode, false_paths=0.0, seed=0):
-    """Write an episode as a log of paths, with ``false_paths`` per epoch on average."""
+def hide_anchors(path, episode, false_paths=0.0, seed=0, without=()):
+    """Write an episode as a log of paths, with ``false_paths`` per epoch on average.
+
+    ``without`` names columns that the log lacks.
+    """
     columns = path_columns(episode, false_paths, np.random.default_rng(seed))
+    for name in without:
+        del columns[name]
     path.write_text(log_text(columns))
 
 

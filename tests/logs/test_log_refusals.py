@@ -9,13 +9,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.io.lookup import MissingExtraError
-from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.logs.by_hand import (
     COLUMNS,
     HEADER,
-    SCENE,
     SUFFIXES,
     L,
     assert_same,
@@ -196,7 +194,7 @@ def test_a_wrong_header_is_refused_before_any_row_is_read(tmp_path, name):
     content, fields = HEADERS[name]
     path = store(tmp_path, content)
     with refuses(path, *fields, error=LogError):
-        read_log(path, SCENE)
+        read(path)
 
 
 @pytest.mark.parametrize("lines", [[], ["0,1,,,,,,"], [f"{t},1,1e-7,,,,," for t in range(9)]])
@@ -204,7 +202,7 @@ def test_a_log_without_any_measurement_is_refused(tmp_path, lines):
     path = store(tmp_path, "\n".join([HEADER, *lines]))
     message = f"{len(lines)} epochs without a measurement" if lines else "no rows below the header"
     with pytest.raises(LogError, match=f"found {message}"):
-        read_log(path, SCENE)
+        read(path)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -216,22 +214,22 @@ def test_a_log_that_needs_more_memory_than_there_is_is_refused_with_its_size(
     write_log(path, episode(epochs=2000))
     monkeypatch.setattr("mmwave_env.logs.lines.free_memory", lambda: 1e6)
     with pytest.raises(OSError, match=r"needs 0.01\d GB of memory, expected at most 0.001 GB"):
-        read_log(path, SCENE)
+        read(path)
 
 
 @pytest.mark.parametrize("name", ["log.txt", "log", "log.csv.zip", "log.gz"])
 def test_files_with_an_unknown_ending_are_refused(tmp_path, name):
     with refuses(name, error=LogError):
-        read_log(store(tmp_path, text(rows()), name), SCENE)
+        read(store(tmp_path, text(rows()), name))
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_path, suffix):
     require_pyarrow(suffix)
     with refuses("nowhere", error=FileNotFoundError):
-        read_log(tmp_path / f"nowhere{suffix}", SCENE)
+        read(tmp_path / f"nowhere{suffix}")
     with refuses("log", error=LogError):
-        read_log(store(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}"), SCENE)
+        read(store(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}"))
 
 
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
@@ -265,4 +263,4 @@ def test_the_error_about_missing_pyarrow_says_what_to_install(tmp_path, monkeypa
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     path = store(tmp_path, "PAR1", "log.parquet")
     with pytest.raises(MissingExtraError, match=r"pip install 'mmwave-loc\[data\]'"):
-        read_log(path, SCENE)
+        read(path)

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from tests.logs.by_hand import (
     COLUMNS,
-    SCENE,
     L,
     assert_same,
     delivered,
@@ -67,13 +65,13 @@ def test_a_column_that_occurs_twice_is_refused(tmp_path):
     path = tmp_path / "log.parquet"
     parquet.write_table(table.append_column("snr_db", table["snr_db"]), path)
     with pytest.raises(LogError, match="columns: found 'snr_db' twice"):
-        read_log(path, SCENE)
+        read(path)
 
 
 @pytest.mark.parametrize("values", [["1"] * 12, [True] * 12, [[1.0]] * 12])
 def test_columns_that_are_not_numeric_are_refused(tmp_path, values):
     with refuses("column 'snr_db'", error=LogError):
-        read_log(stored(tmp_path, columns_of(snr_db=values)), SCENE)
+        read(stored(tmp_path, columns_of(snr_db=values)))
 
 
 @pytest.mark.parametrize(
@@ -100,14 +98,14 @@ def test_a_file_that_ends_early_is_refused(tmp_path, left):
     path = stored(tmp_path, columns_of())
     path.write_bytes(path.read_bytes()[:left])
     with refuses("log.parquet", error=LogError):
-        read_log(path, SCENE)
+        read(path)
 
 
 def test_column_names_that_are_not_valid_text_are_refused(tmp_path):
     path = stored(tmp_path, columns_of(odd_note=[1.0] * len(rows())))
     path.write_bytes(path.read_bytes().replace(b"odd_note", b"odd\xffnote"))
     with refuses("log.parquet", error=LogError):
-        read_log(path, SCENE)
+        read(path)
 
 
 def test_a_file_with_a_broken_page_is_refused(tmp_path):
@@ -120,4 +118,4 @@ def test_a_file_with_a_broken_page_is_refused(tmp_path):
     content[middle : middle + 20] = bytes(20)
     path.write_bytes(content)
     with refuses("log.parquet", error=LogError):
-        read_log(path, SCENE)
+        read(path)

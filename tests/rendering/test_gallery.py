@@ -10,6 +10,7 @@ from mmwave_env.rendering.gallery import DRAWN
 
 ID = "mmwave_env:MmWaveLoc-v0"
 STEPS = 6
+ONES = np.ones(3, np.int64)  # actions
 
 
 def many(n=3, mode="NextStep", **arguments):
@@ -39,7 +40,7 @@ def test_pictures_equal_the_pictures_of_single_environments(arguments):
         assert isinstance(pictures, tuple) and len(pictures) == 3
         for i, picture in enumerate(pictures):
             assert_array_equal(picture, single(5 + i, steps, **arguments))
-        envs.step(np.ones(3, np.int64))
+        envs.step(ONES)
 
 
 def test_the_next_episode_is_drawn_after_an_autoreset():
@@ -47,7 +48,7 @@ def test_the_next_episode_is_drawn_after_an_autoreset():
         envs = many(mode=mode)
         envs.reset(seed=5)
         for _ in range(steps):
-            envs.step(np.ones(3, np.int64))
+            envs.step(ONES)
         for i, picture in enumerate(envs.render()):
             assert_array_equal(picture, single(5 + i, 0, 1))
 
@@ -55,7 +56,7 @@ def test_the_next_episode_is_drawn_after_an_autoreset():
 def test_a_reset_of_one_environment_does_not_change_the_pictures_of_others():
     envs = many(mode="Disabled")
     envs.reset(seed=5)
-    envs.step(np.ones(3, np.int64))
+    envs.step(ONES)
     before = envs.render()
     envs.reset(options={"reset_mask": np.array([False, True, False])})
     after = envs.render()
