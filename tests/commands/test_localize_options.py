@@ -14,6 +14,7 @@ from mmwave_env.datasets.samples import read_track
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.map_learning import MapLearner, learned_scene
 from mmwave_env.logs.log import read_paths
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, started, with_json
@@ -65,10 +66,10 @@ def test_live_output_has_a_line_per_epoch_and_ends_like_a_track_file(tmp_path):
     positions, errors, code = live(content, "--speed", "1")
     # The only line of standard error explains the choice of modes.
     assert code == 0 and len(positions) == 400 and len(errors) == 1
-    more = ("--radio", "standard", "--no-smoothing", "--out", tmp_path / "t.tum")
-    figures(WALK, "--speed", "1", *more)
-    last = [float(word) for word in (tmp_path / "t.tum").read_text().splitlines()[-1].split()]
-    assert positions[-1]["position_m"] == pytest.approx(last[1:4], abs=1e-9)
+    track = tmp_path / "t.tum"
+    figures(WALK, "--speed", "1", "--radio", "standard", "--no-smoothing", "--out", track)
+    last = read_tum(track).position_m[-1]
+    assert positions[-1]["position_m"] == pytest.approx(last, abs=1e-9)
     assert positions[0]["begins"] and not any(p["begins"] for p in positions[1:])
 
 
@@ -101,8 +102,8 @@ def test_the_default_policy_depends_on_the_columns_and_not_on_the_first_epoch(tm
     track = tmp_path / "t.tum"
     figures(WALK, "--radio", "standard", "--no-smoothing", "--out", track, log=log, truth=False)
     positions, _, _ = live(log.read_bytes())
-    last = [float(word) for word in track.read_text().splitlines()[-1].split()]
-    assert positions[-1]["position_m"] == pytest.approx(last[1:4], abs=1e-9)
+    last = read_tum(track).position_m[-1]
+    assert positions[-1]["position_m"] == pytest.approx(last, abs=1e-9)
 
 
 def test_keys_may_appear_while_the_first_positions_are_judged():

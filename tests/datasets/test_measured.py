@@ -125,14 +125,14 @@ def test_stretches_are_runs_of_epochs_with_known_truth_and_without_a_gap(known, 
     time = np.concatenate([[0.0], np.cumsum(steps)])[: len(known)]
     position = np.where(np.array(known)[:, None], np.outer(time, [1.0, -2.0, 0.5]), np.nan)
     runs = stretches(time, position, GAP_S)
+    links = np.zeros(len(known) - 1, int)  # number of runs that contain an epoch and the next one
     inside = np.zeros(len(known), bool)
     for run in runs:
-        assert run.stop - run.start >= 2 and all(known[run])
-        assert (np.diff(time[run]) <= GAP_S + 1e-9).all() and not inside[run].any()
+        assert run.stop - run.start >= 2
+        links[run.start : run.stop - 1] += 1
         inside[run] = True
-    for i in range(len(known) - 1):
-        together = known[i] and known[i + 1] and time[i + 1] - time[i] <= GAP_S
-        assert together == (inside[i] and inside[i + 1] and not any(r.stop == i + 1 for r in runs))
+    for i, count in enumerate(links):
+        assert count == (known[i] and known[i + 1] and time[i + 1] - time[i] <= GAP_S)
     velocity = velocity_of(time, position, GAP_S)
     assert (np.isfinite(velocity).all(axis=1) == inside).all()
     assert_allclose(velocity[inside] - [1.0, -2.0, 0.5], 0.0, atol=1e-9)

@@ -73,8 +73,6 @@ def test_a_track_source_gives_the_episode_of_a_recording():
     assert source.name == episode.name == "canyon28_vehicle"
     assert episode.nonfinite == 0
     assert np.isfinite(episode.table()).all()
-    assert_array_equal(episode.usable, VEHICLE.visible)
-    assert_array_equal(episode.truth_position_m, VEHICLE.position_m)
     assert_array_equal(episode.truth_velocity_mps, VEHICLE.velocity_mps)
     assert_array_equal(episode.scene_anchors_m, VEHICLE.anchors_m)
     assert episode.hz_per_mps == pytest.approx(28e9 / 299_792_458.0)

@@ -158,13 +158,8 @@ NAMED = {"episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"scenario": "train"},
-        {"radio": "lab"},
-        {"scene": "plaza"},
-        {"modes": ["ekf", "pf"]},
         {"modes": []},
         {"backend": "matlab"},
-        {"episodes": "canyon29"},
         {"dt": 0.0},
         {"dt": "1"},
         {"episode_steps": 0},

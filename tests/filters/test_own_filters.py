@@ -27,7 +27,7 @@ from tests.logs.by_hand import write_log
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "own-filters.md").read_text()
-IEKF, USE, HASTY, TESTS, _ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+IEKF, _, HASTY, *_ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 @pytest.fixture(scope="module", autouse=True)

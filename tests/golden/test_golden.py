@@ -4,17 +4,16 @@ import pytest
 
 from tests.golden.traces import TRACES
 from tests.golden.write import FOLDER, differences, text_of
+from tests.paths import representative
 
-SLOW = ["rollout-per-mode", "memory"]  # many modes take long to compile
+QUICK = TRACES.keys() - {"rollout-per-mode", "memory"}  # their many modes take long to compile
 
 
 def written(name):
     return (FOLDER / f"{name}.csv").read_text("utf-8")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(k, marks=[pytest.mark.slow] if k in SLOW else []) for k in TRACES]
-)
+@pytest.mark.parametrize("name", representative(TRACES, *QUICK))
 def test_a_golden_trace_is_reproduced(name):
     differing = differences(name, written(name), text_of(TRACES[name]()))
     advice = "If the change is intended, run `make golden` and say why."

@@ -81,9 +81,7 @@ MIRRORED = [  # mistakes with which tracks are mirrored, as anchors on a line al
 ]
 
 
-@pytest.mark.parametrize(
-    "folder", [FOLDERS[0], pytest.param(FOLDERS[1], marks=pytest.mark.slow)], ids=IDS
-)
+@pytest.mark.parametrize("folder", representative(FOLDERS, FOLDERS[0]), ids=IDS)
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_refused_or_causes_a_warning_and_is_diagnosed(tmp_path, folder, name):
     scene = scene_in(folder)

@@ -27,6 +27,7 @@ from policies.corrector import TWO_WAY, TwoWayCorrector
 from policies.rules import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import drawn, geometry, track
 from tests.logs.by_hand import assert_same, damaged, log_with, write_log
+from tests.paths import representative
 
 SCENE = SCENES["street"]
 RADIO = RADIOS["handset"]
@@ -108,7 +109,7 @@ def assert_engines(result, block, modes, planar=False):
     assert result.skipped == 2 and (~result.visible[0, 0]).all()
 
 
-@pytest.mark.parametrize("odometry", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("odometry", representative([False, True], False))
 def test_the_speed_predicted_or_measured_by_odometry_chooses_the_mode(folder, odometry):
     block = log(folder, odometry)
     rule = by_odometry_speed if odometry else by_predicted_speed
@@ -123,7 +124,7 @@ def test_the_speed_predicted_or_measured_by_odometry_chooses_the_mode(folder, od
     assert 0.1 < result.mode.mean() < 0.9
 
 
-@pytest.mark.parametrize("modes", [(EKF,), pytest.param(BANK, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("modes", representative([(EKF,), BANK], (EKF,)))
 def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
     result = run(block, modes, height_m=1.5)
     if modes != BANK:
@@ -222,7 +223,7 @@ UNGATED = replace(UKF, gate=None)
 TWINS = Bank((UNGATED, replace(UNGATED, name="twin")))
 
 
-@pytest.mark.parametrize("modes", [(UNGATED,), pytest.param(TWINS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("modes", representative([(UNGATED,), TWINS], (UNGATED,)))
 @pytest.mark.parametrize(("first", "window"), [(1, None), (100, 30)])
 def test_a_measurement_that_makes_a_track_infinite_is_refused(block, first, window, modes):
     measurement = block.measurement.copy()

@@ -32,13 +32,25 @@ def some_track(epochs, seed=0):
     groups = rng.random((epochs, 4)) < 0.8
     time_s = 1.7e9 + np.arange(epochs) / 3.0
     log = log_with(Layout(3), time_s, np.zeros((epochs, 13)), groups)
-    track = {"x": x, "P": P, "modes": NAMES, "skipped": 0, "dropped": 0}
-    track["segment"] = np.zeros(epochs, int)
-    track |= {"smooth_x": x + 1.0, "smooth_P": 2.0 * P, "mode": rng.integers(2, size=epochs)}
-    track |= {"nis": rng.random((epochs, 4)), "accepted": groups, "planar": False}
-    track |= {"trusted": np.full(epochs, np.nan), "smooth_trusted": np.full(epochs, np.nan)}
-    track |= {"level_factors": 1.0 + rng.random((epochs, 2))}
-    return Track(**vars(log), **track)
+    trusted = np.full(epochs, np.nan)
+    return Track(
+        **vars(log),
+        x=x,
+        P=P,
+        smooth_x=x + 1.0,
+        smooth_P=2.0 * P,
+        mode=rng.integers(2, size=epochs),
+        modes=NAMES,
+        nis=rng.random((epochs, 4)),
+        accepted=groups,
+        segment=np.zeros(epochs, int),
+        skipped=0,
+        dropped=0,
+        planar=False,
+        trusted=trusted,
+        smooth_trusted=trusted,
+        level_factors=1.0 + rng.random((epochs, 2)),
+    )
 
 
 def test_a_track_and_its_table_replace_only_files_of_their_kind(tmp_path):

@@ -24,6 +24,7 @@ from mmwave_env.world.episode import columns_of
 from policies import Corrector
 from policies.corrector import TwoWayCorrector
 from tests.filters.tracks import nees_of
+from tests.paths import representative
 from tests.training.test_rollout_env import task
 from tests.training.test_train_interrupted import assert_goes_on, silent, trained
 
@@ -87,7 +88,7 @@ def test_episodes_begin_from_a_link_that_filters_do_not_use_again():
     assert 1.5 < np.median(nees) < 4.0  # 2.4 if errors are Gaussian; reflections have larger ones
 
 
-@pytest.mark.parametrize("two_way", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("two_way", representative([False, True], True))
 def test_a_recurrent_unit_and_its_gradients_equal_those_of_pytorch(two_way):
     torch.manual_seed(0)
     ours = RecurrentUnit(5, 6, bidirectional=two_way)

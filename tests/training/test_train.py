@@ -50,8 +50,8 @@ HYPER = PpoHyperparameters(
 )  # fmt: skip
 
 
-def job_of(folder, hyper=HYPER, **changes):
-    job = Job(TASK, hyper, 0, 1000, folder, "mmwave-loc train", 20)
+def job_of(folder, **changes):
+    job = Job(TASK, HYPER, 0, 1000, folder, "mmwave-loc train", 20)
     return replace(job, **changes)
 
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import time
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -17,8 +18,9 @@ from tests.refusals import refuses
 pytest.importorskip("stable_baselines3")
 
 from experiments.training.run import side_by_side, train
-from experiments.training.trainer import Job, run_training
-from tests.training.test_train import HYPER, TASK, content
+from experiments.training.trainer import run_training
+from tests.training import test_train
+from tests.training.test_train import HYPER, content
 
 pytestmark = [
     pytest.mark.torch,
@@ -30,10 +32,8 @@ SMALL = replace(HYPER, num_envs=4, n_steps=25, batch_size=50, paired=True)
 UPDATES = 14
 
 
-def job_of(folder, **changes):
-    timesteps = UPDATES * SMALL.num_envs * SMALL.n_steps
-    job = Job(TASK, SMALL, 0, timesteps, folder, "mmwave-loc train", 20)
-    return replace(job, **changes)
+STEPS = UPDATES * SMALL.num_envs * SMALL.n_steps
+job_of = partial(test_train.job_of, hyperparameters=SMALL, timesteps=STEPS)
 
 
 def silent(*_):
@@ -174,7 +174,7 @@ def test_an_interrupted_command_ends_all_processes_and_continues_when_resumed(tm
     hyperparameters = write_json(tmp_path / "mine.json", content(SMALL))
     out = tmp_path / "run"
     # The training must take seconds, so that it can be interrupted.
-    length = ("--seeds", 1, "--total-timesteps", 10 * UPDATES * SMALL.num_envs * SMALL.n_steps)
+    length = ("--seeds", 1, "--total-timesteps", 10 * STEPS)
     made_with = (*length, "--hyperparameters", hyperparameters)
     words = (*made_with, "--out", out, "--jobs", 1)
     checkpoint = out / "seed-0" / "checkpoint.pt"

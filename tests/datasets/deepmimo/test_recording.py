@@ -28,7 +28,6 @@ from tests.datasets.deepmimo.scenarios import (
     reflect,
     set_at,
     set_counts,
-    store,
     write_hall,
 )
 from tests.refusals import refuses
@@ -180,18 +179,6 @@ def test_the_error_about_a_wrong_path_names_path_and_receiver(folder):
     edit(folder, "delay", set_at((7, 0), 1.0))
     with pytest.raises(ValueError, match="on path 0 of receiver 7,"):
         read_deepmimo(folder, users=[3, 7], dt_s=1.0)
-
-
-def test_pickled_objects_are_never_loaded(folder):
-    class Bomb:
-        def __reduce__(self):
-            return (pytest.fail, ("the pickle was executed",))
-
-    array = np.empty(1, object)
-    array[0] = Bomb()
-    store(folder, "delay", array)
-    with refuses("delay"):
-        read_deepmimo(folder)
 
 
 def test_a_path_that_is_not_a_folder_is_refused(tmp_path):
