@@ -13,7 +13,7 @@ from mmwave_env.datasets.samples import read_track, sample_folder
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.filters.tracks import sampled, seeded
+from tests.filters.tracks import assert_same_fields, sampled, seeded
 from tests.localization.mistakes import read_columns, write_columns
 from tests.logs.by_hand import shown, write_log
 from tests.paths import LOGS, RECORDINGS
@@ -32,12 +32,6 @@ def folder(tmp_path):
     return tmp_path
 
 
-@pytest.fixture
-def sample(tmp_path):
-    shutil.copytree(sample_folder("canyon28_vehicle"), tmp_path, dirs_exist_ok=True)
-    return tmp_path
-
-
 @pytest.mark.parametrize("odometry", [False, True])
 def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     true = simulated(3, odometry)
@@ -45,8 +39,8 @@ def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     assert read_scene(tmp_path / "scene.json") == STREET
     episode = sampled(TrackSource(read_track(tmp_path), "handset"))
     assert episode.layout == true.layout and episode.name == tmp_path.name
-    for field in ("time_s", "usable", "doppler_spread_hz", "scene_anchors_m", "truth_position_m"):
-        assert_array_equal(getattr(episode, field), getattr(true, field))
+    fields = ("time_s", "usable", "doppler_spread_hz", "scene_anchors_m", "truth_position_m")
+    assert_same_fields(episode, true, *fields)
     at = np.repeat(true.usable, true.layout.widths, axis=1)
     # Writing a log divides ranges by the speed of light; reading multiplies them by it again.
     assert_array_max_ulp(episode.measurement[at], true.measurement[at])

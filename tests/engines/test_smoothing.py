@@ -53,6 +53,16 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
         assert_array_equal(ours, part[:, :1])  # a single epoch is not changed
 
 
+def smoothed_modes(bank, batch, hz_per_mps, planar=False):
+    """Return parts of an IMM's tracks by name, and the smoothed tracks (x, P)."""
+    track = run_imm(bank, None, batch, "x", "mixture", planar=planar)
+    pipeline = Pipeline(bank.modes, batch.layout, planar)
+    at = columns_of(batch.layout)
+    steps = batch.table[..., at.dt]
+    spread = batch.table[..., at.doppler_spread_hz]
+    return track, smooth_modes(bank, pipeline, track["mixture"], steps, spread, hz_per_mps)
+
+
 @pytest.mark.parametrize("clock", ["synchronized", "offset", "free"])
 @pytest.mark.parametrize("planar", representative([False, True], False))
 def test_smoothed_tracks_equal_the_textbook(planar, clock):
@@ -67,7 +77,6 @@ def test_smoothed_tracks_equal_the_textbook(planar, clock):
     hz_per_mps = source.scene.hz_per_mps
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
-    kept = run_imm(bank, None, batch, "mixture", planar=planar)
     engine = Engine(pipeline, n, observation="")
     engine.load(batch)
     x, P, P_predicted, tracks = engine.run("x", "P", "P_predicted", SMOOTHED).values()
@@ -75,11 +84,8 @@ def test_smoothed_tracks_equal_the_textbook(planar, clock):
     if clock != "synchronized":
         free.append(7)
     drive = hz_per_mps if clock == "offset" else None
-    at = columns_of(batch.layout)
-    steps = batch.table[..., at.dt]
-    spread = batch.table[..., at.doppler_spread_hz]
-    smoothed = smooth(pipeline, tracks, steps, hz_per_mps)
-    by_modes = smooth_modes(bank, pipeline, kept["mixture"], steps, spread, hz_per_mps)
+    smoothed = smooth(pipeline, tracks, np.diff(time_s, prepend=time_s[:, :1]), hz_per_mps)
+    _, by_modes = smoothed_modes(bank, batch, hz_per_mps, planar)
     for e, times in enumerate(time_s):
         expected_x, expected_P = textbook.rts(
             x[e], unpacked(P[e]), unpacked(P_predicted[e]), times, free, drive
@@ -93,19 +99,13 @@ def test_smoothed_tracks_equal_the_textbook(planar, clock):
 @pytest.mark.parametrize("radio", ["handset", "standard"])
 def test_smoothed_modes_are_consistent_and_nearer_to_the_truth(radio):
     task = task_from(beliefs="per-mode", radio=radio)
-    bank = task.bank
     batch = task.simulated.sample_batch(np.arange(TUNING, TUNING + 40).astype(np.uint64))
-    pipeline = Pipeline(bank.modes, batch.layout)
-    track = run_imm(bank, None, batch, "x", "P", "mixture")
-    at = columns_of(batch.layout)
-    steps = batch.table[..., at.dt]
-    spread = batch.table[..., at.doppler_spread_hz]
-    hz_per_mps = task.simulated.scene.hz_per_mps
+    truth = batch.table[..., columns_of(batch.layout).truth[:3]]
 
     def error(x):
-        return (x[..., :3] - batch.table[..., at.truth[:3]])[:, BURN_IN:]
+        return (x[..., :3] - truth)[:, BURN_IN:]
 
-    x, P = smooth_modes(bank, pipeline, track["mixture"], steps, spread, hz_per_mps)
+    track, (x, P) = smoothed_modes(task.bank, batch, task.simulated.scene.hz_per_mps)
     low, high = nees_interval()
     nees = nees_of(error(x), P[:, BURN_IN:])
     assert ((nees >= low) & (nees <= high)).mean() >= 0.90

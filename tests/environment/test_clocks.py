@@ -16,7 +16,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.filters.tracks import around_a_block, replay, seeded, street_source
+from tests.filters.tracks import around_a_block, assert_same_fields, replay, seeded, street_source
 from tests.localization.mistakes import linear, renamed, wrong_log
 from tests.refusals import refuses
 
@@ -73,8 +73,8 @@ def test_all_ranges_get_the_same_bias_and_nothing_else_changes(arguments, clock)
     for field in ("measurement", "sigma"):
         pairs = (getattr(episode, field)[:, others][known] for episode in (offset, synchronized))
         assert_array_equal(*pairs)
-    for field in ("visible", "snr_db", "truth_position_m", "doppler_spread_hz"):
-        assert_array_equal(getattr(offset, field), getattr(synchronized, field))
+    fields = ("visible", "snr_db", "truth_position_m", "doppler_spread_hz")
+    assert_same_fields(offset, synchronized, *fields)
     assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
     P = np.diag([*np.diag(synchronized.prior_covariance), sigma_m**2])
     assert_allclose(offset.prior_covariance, P)

@@ -8,7 +8,7 @@ from mmwave_env.datasets.recorded import TrackSource
 from mmwave_env.datasets.samples import read_track, sample_folder
 from mmwave_env.models.layout import MEASUREMENTS, Layout
 from mmwave_env.task import task_from
-from tests.filters.tracks import around_a_block, replay, street_source
+from tests.filters.tracks import around_a_block, assert_same_fields, replay, street_source
 from tests.refusals import refuses
 
 SUBSETS = [("range", "azimuth"), ("azimuth", "elevation", "departure"), ("departure", "doppler")]
@@ -39,10 +39,9 @@ def test_the_measured_rows_equal_the_rows_of_the_complete_episode(arguments, sub
     assert_array_equal(np.isfinite(some.measurement), seen)
     assert_array_equal(some.measurement[seen], whole.measurement[seen])
     assert_allclose(some.sigma[seen], whole.sigma[seen], rtol=1e-12)
-    starts = [group.start for group in layout.groups]
-    assert_array_equal(some.usable, np.logical_or.reduceat(seen, starts, axis=1))
-    for field in ("truth_position_m", "truth_velocity_mps", "prior_mean", "doppler_spread_hz"):
-        assert_array_equal(getattr(some, field), getattr(whole, field))
+    assert_array_equal(some.usable, np.logical_or.reduceat(seen, layout.starts, axis=1))
+    fields = ("truth_position_m", "truth_velocity_mps", "prior_mean", "doppler_spread_hz")
+    assert_same_fields(some, whole, *fields)
     assert some.nonfinite == 0
 
 

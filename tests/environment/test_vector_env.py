@@ -97,11 +97,6 @@ def sync(n, mode="NextStep", **arguments):
     )
 
 
-@pytest.fixture(params=representative(CONFIGURATIONS, *QUICK))
-def configuration(request):
-    return CONFIGURATIONS[request.param]
-
-
 # --- Gymnasium's rules
 
 
@@ -131,7 +126,9 @@ def test_a_vector_environment_can_be_made_from_its_specification_in_json():
 
 
 @pytest.mark.parametrize("mode", AUTORESET)
-def test_the_native_vector_environment_equals_the_synchronous_environment(mode, configuration):
+@pytest.mark.parametrize("name", representative(CONFIGURATIONS, *QUICK))
+def test_the_native_vector_environment_equals_the_synchronous_environment(mode, name):
+    configuration = CONFIGURATIONS[name]
     ours = rollout(native(9, mode, **configuration), 4, 50)
     expected = rollout(sync(9, mode, **configuration), 4, 50)
     for t, (a, b) in enumerate(zip(ours, expected, strict=True)):

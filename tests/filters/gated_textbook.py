@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from mmwave_env.filters import textbook
+from mmwave_env.filters import Gate, textbook
 from mmwave_env.filters.textbook import Sensor, tangent
 from mmwave_env.models.layout import Layout
 
@@ -90,7 +90,7 @@ class Update(NamedTuple):
     log_likelihood: float
 
 
-def gate_groups(moments, sensor, x, P, z, R, visible, quantile=None, force=False, robust=False):
+def gate_groups(moments, sensor, x, P, z, R, visible, gate):
     """Gate each group at the prior; a robust update inflates R of links with a large NIS.
 
     Returns R, the mask of accepted rows, and the last three fields of an :class:`Update`.
@@ -103,10 +103,10 @@ def gate_groups(moments, sensor, x, P, z, R, visible, quantile=None, force=False
     log_det = np.array([np.log(np.linalg.det(S[g, g])) for g in groups])
     sizes = np.array([g.stop - g.start for g in groups])
     is_link = np.arange(len(groups)) < sensor.links
-    passed = np.ones(len(groups), bool) if quantile is None else nis <= chi2.ppf(quantile, sizes)
-    if force or robust:
+    passed = nis <= (np.inf if gate.quantile is None else chi2.ppf(gate.quantile, sizes))
+    if gate.force or gate.robust:
         passed = passed | is_link
-    if robust:
+    if gate.robust:
         doubt = np.where(is_link, np.maximum(nis / (1.5 * sizes), 1.0) ** 2, 1.0)
         R = R * np.repeat(doubt, sizes)
     log_likelihood = -0.5 * np.sum((nis + log_det)[visible])
@@ -156,7 +156,7 @@ def textbook_imm(episode, modes, transitions, nis_quantile, change):
         for j, (method, Q) in enumerate(modes):
             prior = textbook.predict(mixed_x[j], mixed_P[j], Q * dt, dt)
             measured = episode.table()[t, 1:14], episode.sigma[t] ** 2, episode.usable[t]
-            step = update(textbook.METHODS[method], sensor, *prior, *measured)
+            step = update(textbook.METHODS[method], sensor, *prior, *measured, Gate(None))
             x[j] = step.x
             P[j] = step.P
             log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()

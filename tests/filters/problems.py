@@ -69,17 +69,16 @@ class Problem(NamedTuple):
         """
         return [0, 1, 2, 7, 3, 4, 5, 6] if self.sensor.clock else [*range(7)]
 
-    def textbook(self, moments, gate, force=None, free=None):
+    def textbook(self, moments, gate, free=None):
         """Return the textbook's update of the ``free`` components; all others are known exactly.
 
-        By default, all components are free, and ``force`` is ``gate.force``.
+        By default, all components are free.
         """
         free = self.order if free is None else free
         x, P, *measured = self.update
         model = Restricted(self.seen, x, free)
         prior = (x[free], P[np.ix_(free, free)])
-        rule = gate.quantile, gate.force if force is None else force, gate.robust
-        update = gated_textbook.update(moments, model, *prior, *measured, *rule)
+        update = gated_textbook.update(moments, model, *prior, *measured, gate)
         back = np.argsort(free)
         return update._replace(x=update.x[back], P=update.P[np.ix_(back, back)])
 
@@ -90,7 +89,7 @@ def numbers(low, high, shape=()):
 
 
 @st.composite
-def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, clock=False):
+def problems(draw, odometry=False, anchors=None, partial=False, clock=False):
     """Draw a problem that is not singular: all anchors are at least 20 m away horizontally."""
     L = draw(st.integers(1, 5)) if anchors is None else anchors
     position = draw(numbers(-200, 200, (3,)))
@@ -114,7 +113,7 @@ def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, c
 
     sigma = np.tile([1.0, 0.05, 0.05, 0.05], L).tolist() + [50.0] + [0.5, 0.1] * odometry
     sigma = np.array(sigma) * draw(numbers(0.05, 2, (len(sigma),)))
-    wrong = st.sampled_from([0.0, 0.0, 0.0, 5.0] if outliers else [0.0])
+    wrong = st.sampled_from([0.0, 0.0, 0.0, 5.0])
     error = draw(numbers(-2, 2, sigma.shape)) + [draw(wrong) for _ in sigma]
     truth = x + factor @ draw(numbers(-2, 2, (n,)))
     angles = sensor.angles

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
 
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters import textbook
@@ -43,26 +44,26 @@ class Problem(NamedTuple):
     sigma: np.ndarray
     measured: np.ndarray
 
-    def ours(self, bias=0.0, lockout=0.0):
-        """Return our result; ``bias`` is added to the ranges."""
+    def with_bias(self, bias):
+        """Return the problem with another bias in all ranges."""
+        z = self.z.copy()
+        z[0:-1:4] += bias
+        return self._replace(z=z)
+
+    def ours(self):
         links = self.sensor.links
         layout = Layout(links, partial=True, clock="free")
         mode = Mode("ekf", "ekf", gate=None, **dict.fromkeys(NOISES, 0.0))
-        P = np.zeros((8, 8))
-        P[:7, :7] = self.P
-        P[7, 7] = 1.0
-        z = self.z.copy()
-        z[0:-1:4] += bias
-        starts = [group.start for group in layout.groups]
-        visible = np.logical_or.reduceat(self.measured, starts)
+        visible = np.logical_or.reduceat(self.measured, layout.starts)
         doppler_of = [float(a == self.sensor.shifted) for a in range(links)]
-        epoch = Epoch(0.0, z.tolist(), self.sigma.tolist(), visible.astype(float).tolist(),
+        epoch = Epoch(0.0, self.z.tolist(), self.sigma.tolist(), visible.astype(float).tolist(),
                       [30.0] * links, 0.0, self.measured.astype(float).tolist(),
                       doppler_of)  # fmt: skip
         x = [*self.x, 3.0]
-        site = Site(self.sensor.anchors.tolist(), HZ_PER_MPS, x, pack(P.tolist()))
-        memory = initial_memory(layout, 1)._replace(lockout=lockout)
-        return predict_update(Pipeline((mode,), layout), mode, x, site.prior_P, memory, epoch, site)
+        P = pack(block_diag(self.P, 1.0).tolist())
+        site = Site(self.sensor.anchors.tolist(), HZ_PER_MPS, x, P)
+        memory = initial_memory(layout, 1)
+        return predict_update(Pipeline((mode,), layout), mode, x, P, memory, epoch, site)
 
     def disagreements(self):
         """Return T (L, L) of each pair of ranges."""
@@ -111,21 +112,18 @@ def test_without_doubtful_ranges_the_update_is_that_of_their_differences(problem
         problem.sensor, problem.x, problem.P, problem.z, problem.sigma**2, problem.measured,
         reference,
     )  # fmt: skip
-    result = problem.ours(bias)
+    biased = problem.with_bias(bias)
+    result = biased.ours()
     P = np.array(unpack(result.P))
     assert_allclose(result.x[:7], expected_x, rtol=1e-5, atol=1e-5)
     assert_allclose(P[:7, :7], expected_P, rtol=1e-5, atol=1e-5)
     # The bias: ranges minus the distances to the updated position, as a flat prior gives them.
-    flat = np.zeros((8, 8))
-    flat[:7, :7] = problem.P
-    flat[7, 7] = 1e7
-    z = problem.z.copy()
-    z[0:-1:4] += bias
+    flat = block_diag(problem.P, 1e7)
     sensor = textbook.Sensor(
         problem.sensor.anchors, HZ_PER_MPS, shifted=problem.sensor.shifted, clock=True
     )
     whole_x, whole_P = textbook.update(
-        textbook.tangent, sensor, np.append(problem.x, 0.0), flat, z, problem.sigma**2,
+        textbook.tangent, sensor, np.append(problem.x, 0.0), flat, biased.z, problem.sigma**2,
         problem.measured,
     )  # fmt: skip
     assert result.x[7] == pytest.approx(whole_x[7], rel=1e-4, abs=0.01)
@@ -166,7 +164,7 @@ def test_a_range_alone_only_sets_the_clock_and_does_not_end_a_lockout():
     sensor = textbook.Sensor(np.array([[40.0, 5.0, 8.0]]), HZ_PER_MPS)
     z = sensor.h(STATE)
     measured = np.array([True, False, False, False, False])
-    result = Problem(sensor, STATE, np.eye(7), z, np.full(5, 0.3), measured).ours(700.0)
+    result = Problem(sensor, STATE, np.eye(7), z, np.full(5, 0.3), measured).with_bias(700.0).ours()
     assert_allclose(result.x[:7], STATE)
     assert result.x[7] == pytest.approx(700.0)
     assert result.passed == 0.0

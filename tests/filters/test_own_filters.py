@@ -56,8 +56,7 @@ def iekf(files):
 def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
     problem = data.draw(problems(odometry))
     s = problem.sensor
-    rule = gate.quantile, gate.force, gate.robust
-    expected = gated_textbook.iterated(iterations, s, *problem.update, *rule)
+    expected = gated_textbook.iterated(iterations, s, *problem.update, gate)
     assume_clear_of(expected.nis, s, gate.quantile)
     assert_same(problem.ours(partial(iekf, iterations=iterations), gate), expected)
 

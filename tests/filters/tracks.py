@@ -96,8 +96,7 @@ def some_rows(episode, rng, share):
     whole = episode.only(MEASUREMENTS)
     gone = rng.random(whole.measurement.shape) >= share
     measurement = np.where(gone, np.nan, whole.measurement)
-    starts = [group.start for group in whole.layout.groups]
-    visible = np.logical_or.reduceat(np.isfinite(measurement), starts, axis=1)
+    visible = np.logical_or.reduceat(np.isfinite(measurement), whole.layout.starts, axis=1)
     anchor = rng.integers(whole.layout.anchors, size=len(whole))
     return replace(whole, measurement=measurement, visible=visible, doppler_anchor=anchor)
 
@@ -224,6 +223,12 @@ def nees_of(error, P):
     k = error.shape[-1]
     covariance = unpacked(P)[..., :k, :k]
     return np.einsum("...i,...ij,...j->...", error, np.linalg.inv(covariance), error)
+
+
+def assert_same_fields(a, b, *fields):
+    """Assert that two records have equal arrays in some fields."""
+    for field in fields:
+        assert_array_equal(getattr(a, field), getattr(b, field), field)
 
 
 def assert_same_beliefs(a, b, rtol):

@@ -12,7 +12,7 @@ from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.scene import SCENES
-from tests.filters.tracks import drawn
+from tests.filters.tracks import assert_same_fields, drawn
 from tests.refusals import refuses
 
 SCENE = SCENES["street"]
@@ -98,8 +98,7 @@ def delivered(path, *fields, reader=read_log):
 
 def assert_same(log, expected, *ignored):
     """Check that all arrays of two logs or tracks are equal, but those with ``ignored`` names."""
-    for name in expected.arrays().keys() - {*ignored}:
-        np.testing.assert_array_equal(getattr(log, name), getattr(expected, name), err_msg=name)
+    assert_same_fields(log, expected, *expected.arrays().keys() - {*ignored})
 
 
 def shown(block):

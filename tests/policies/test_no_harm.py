@@ -45,6 +45,10 @@ def alone(episode):
     return replace(episode, visible=visible)
 
 
+def rng_of(episode):
+    return np.random.default_rng(abs(episode.measurement[0, 0].view(np.int64)))
+
+
 def shifted(range_m=0.0, azimuth_deg=0.0, elevation_deg=0.0):
     """Return a function that shifts the measurements of all links alike, as a bad survey does."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
@@ -62,7 +66,7 @@ def misplaced(up_m=0.0, apart_m=0.0):
 
     def misplace(episode):
         anchors = episode.scene_anchors_m + np.array([0.0, 0.0, up_m])
-        rng = np.random.default_rng(abs(episode.measurement[0, 0].view(np.int64)))
+        rng = rng_of(episode)
         anchors[:, :2] += rng.normal(0.0, apart_m, (3, 2))
         return replace(episode, scene_anchors_m=anchors)
 
@@ -71,7 +75,7 @@ def misplaced(up_m=0.0, apart_m=0.0):
 
 def slow_noise(episode):
     """Return an episode with additional errors that change slowly, twice the stated noise."""
-    rng = np.random.default_rng(abs(episode.measurement[0, 0].view(np.int64)))
+    rng = rng_of(episode)
     z = episode.measurement.copy()
     z[:, :12] += 2.0 * lasting(rng, len(z), 12, keep=0.99) * episode.sigma[:, :12]
     return replace(episode, measurement=z)

@@ -19,7 +19,14 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.simulation import RECEIVER, USER
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.travel import attend, draw_phases, set_off, stride_of
-from tests.filters.tracks import around_a_block, geometry, sampled, street_source, wrapped
+from tests.filters.tracks import (
+    around_a_block,
+    assert_same_fields,
+    geometry,
+    sampled,
+    street_source,
+    wrapped,
+)
 from tests.numerics.test_random import theirs
 from tests.paths import representative
 
@@ -228,8 +235,7 @@ def test_a_batch_equals_single_episodes_to_the_last_bit(name, threads):
     dt = columns_of(source.layout).dt
     assert_allclose(expected.table[..., dt], batch.table[..., dt], rtol=1e-12)
     expected.table[..., dt] = batch.table[..., dt]
-    for field in ("length", "table", "site"):
-        assert_array_equal(getattr(batch, field), getattr(expected, field))
+    assert_same_fields(batch, expected, "length", "table", "site")
 
 
 def test_a_random_generator_draws_the_key_of_a_sample():

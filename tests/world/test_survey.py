@@ -10,20 +10,25 @@ from scipy.stats import binomtest
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.random_scene import RandomSurvey
 from mmwave_env.world.keys import keys_of
-from tests.filters.tracks import around_a_block, replay, sampled, street_source, wrapped
+from tests.filters.tracks import (
+    around_a_block,
+    assert_same_fields,
+    replay,
+    sampled,
+    street_source,
+    wrapped,
+)
 from tests.refusals import refuses
 
 NONE = dict.fromkeys(["rotation_rad", "tilt_rad", "range_m", "anchors_m", "heights_m", "slow"], 0.0)
 KEYS = keys_of(range(400))
 
 
-def pair(n=400, keys=KEYS, **sizes):
+def pair(**sizes):
     """Return episodes of the same keys with an exact survey, and with these certain errors."""
     survey = RandomSurvey(**(NONE | {"rate": 1.0} | sizes))
     arguments = {"radio": "standard", "epochs": 40}
-    return [
-        street_source(**arguments, survey=choice).episodes(keys[:n]) for choice in (None, survey)
-    ]
+    return [street_source(**arguments, survey=choice).episodes(KEYS) for choice in (None, survey)]
 
 
 def changes(right, wrong):
@@ -51,8 +56,8 @@ def test_all_links_of_an_episode_share_an_error_of_the_stated_size(sizes, rows):
         known = np.isfinite(change)
         assert_allclose(change[known], np.broadcast_to(common, change.shape)[known], atol=1e-9)
         drawn.append(common)
-        for field in ("truth_position_m", "visible", "snr_db", "prior_mean", "scene_anchors_m"):
-            assert_array_equal(getattr(wrong, field), getattr(right, field))
+        fields = ("truth_position_m", "visible", "snr_db", "prior_mean", "scene_anchors_m")
+        assert_same_fields(wrong, right, *fields)
     spread = np.std(drawn, axis=0)
     assert_allclose(spread, rows, rtol=0.15)  # 4 standard deviations of 400 draws
     azimuth = np.array(drawn)[:, 1]

@@ -23,14 +23,14 @@ from tests.datasets.deepmimo.scenarios import (
     set_counts,
     shortened,
 )
+from tests.filters.tracks import assert_same_fields
 from tests.refusals import refuses
 
 FIELDS = ("time_s", "measurement", "visible", "path_gain_db", "position_m", "velocity_mps")
 
 
 def require_same(recording, expected):
-    for field in (*FIELDS, "anchors_m"):
-        assert_array_equal(getattr(recording, field), getattr(expected, field), field)
+    assert_same_fields(recording, expected, *FIELDS, "anchors_m")
 
 
 @pytest.fixture
