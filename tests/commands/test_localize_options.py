@@ -7,6 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, norm
 
 from experiments.console.main import run
 from mmwave_env.datasets.recorded import TrackSource
@@ -17,7 +18,7 @@ from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
-from tests.cli import assert_one_clear_line, command, started, with_json
+from tests.cli import assert_one_clear_line, command, started, succeed, with_json
 from tests.commands.localizing import RIDE, STREET, WALK, figures, lines_of, options, refused
 from tests.filters.tracks import sampled
 from tests.localization.mistakes import (
@@ -42,6 +43,13 @@ def live(content, *more):
     done = command(*WORDS, *more, stdin=content)
     positions = [json.loads(line) for line in done.stdout.splitlines()]
     return positions, done.stderr.splitlines(), done.returncode
+
+
+def positions_of(content, *more):
+    """Return the positions of a user whose speed is given."""
+    positions, _, code = live(content, "--speed", "1", *more)
+    assert code == 0
+    return positions
 
 
 def first_rows(count):
@@ -75,9 +83,8 @@ def test_live_output_has_a_line_per_epoch_and_ends_like_a_track_file(tmp_path):
 
 @pytest.mark.parametrize("whole", [False, True], ids=["rows", "epochs"])
 def test_json_lines_give_the_same_positions_as_csv(whole):
-    csv_lines, _, _ = live(first_rows(60), "--speed", "1")
-    json_lines, _, code = live(as_json(lines_of()[:61], whole), "--speed", "1")
-    assert code == 0 and json_lines == csv_lines
+    json_lines = as_json(lines_of()[:61], whole)
+    assert positions_of(json_lines) == positions_of(first_rows(60))
 
 
 @pytest.mark.parametrize("kept", [["snr_db"], ["doppler_hz"], ["toa_s"]])
@@ -110,8 +117,8 @@ def test_keys_may_appear_while_the_first_positions_are_judged():
     lines = as_json(lines_of()[:391], False).splitlines()
     rows = [json.loads(line) for line in lines]
     rows[150:] = [row | {"speed_mps": 1.0, "heading_rad": 0.0} for row in rows[150:]]
-    positions, _, code = live("\n".join(map(json.dumps, rows)).encode(), "--speed", "1")
-    assert code == 0 and len(positions) == len({row["time_s"] for row in rows})
+    positions = positions_of("\n".join(map(json.dumps, rows)).encode())
+    assert len(positions) == len({row["time_s"] for row in rows})
 
 
 @pytest.mark.parametrize(
@@ -130,7 +137,7 @@ def test_what_contradicts_the_first_positions_causes_a_warning(tmp_path, folder,
 
 
 def test_rows_of_several_users_give_the_lines_of_each_alone():
-    alone, _, _ = live(first_rows(60), "--speed", "1")
+    alone = positions_of(first_rows(60))
     header, *rows = lines_of()[:61]
     both = [f"{row},{user}" for row in rows for user in "ab"]
     lines, errors, code = live("\n".join([f"{header},ue", *both]).encode(), "--speed", "1")
@@ -143,24 +150,24 @@ def test_location_data_of_3gpp_has_the_ellipse_in_which_the_user_is(tmp_path):
     origin = {"latitude_deg": 48.1, "longitude_deg": 11.5, "height_m": 500.0, "bearing_deg": 30.0}
     scene = tmp_path / "scene.json"
     scene.write_text(json.dumps(json_in(WALK / "scene.json") | {"origin": origin}))
-    words = ("--scene", scene, "--speed", "1")
+    words = ("--scene", scene)
     asked = ("--format", "3gpp", "--confidence", "0.9", "--accuracy", "0.5")
-    plain, _, _ = live(first_rows(60), *words)
-    found, _, code = live(first_rows(60), *words, *asked)
-    assert code == 0 and len(found) == len(plain)
+    plain = positions_of(first_rows(60), *words)
+    found = positions_of(first_rows(60), *words, *asked)
+    assert len(found) == len(plain)
     position, content = plain[-1], found[-1]
     area = content["locationEstimate"]
     ellipse = area["uncertaintyEllipse"]
-    rng = np.random.default_rng(0)
-    users = rng.multivariate_normal(position["position_m"], position["covariance_m2"], 20_000)
+    P = np.array(position["covariance_m2"])
+    variances, axes = np.linalg.eigh(P[:2, :2])
+    size_m = np.sqrt(chi2.ppf(0.9, 2) * variances)
+    assert [ellipse["semiMinor"], ellipse["semiMajor"]] == pytest.approx(size_m, rel=0.01)
+    turned = np.radians(origin["bearing_deg"] - ellipse["orientationMajor"])
+    along = axes[:, 1] @ [np.cos(turned), np.sin(turned)]  # x is in the direction of the bearing
+    assert abs(along) == pytest.approx(1.0, abs=1e-4) and area["confidence"] == 90
+    height_m = norm.ppf(0.95) * np.sqrt(P[2, 2])
+    assert area["uncertaintyAltitude"] == pytest.approx(height_m, rel=0.01)
     place = area["point"]["lat"], area["point"]["lon"], area["altitude"]
-    turned = np.radians(origin["bearing_deg"]) - np.radians(ellipse["orientationMajor"])
-    x, y, z = (users - position["position_m"]).T  # x is in the direction of the bearing
-    along = x * np.cos(turned) + y * np.sin(turned)
-    across = x * np.sin(turned) - y * np.cos(turned)
-    inside = np.hypot(along / ellipse["semiMajor"], across / ellipse["semiMinor"]) < 1.0
-    assert inside.mean() == pytest.approx(0.9, abs=0.01) and area["confidence"] == 90
-    assert (abs(z) < area["uncertaintyAltitude"]).mean() == pytest.approx(0.9, abs=0.01)
     assert place == pytest.approx(position["geodetic"], abs=1e-12)
     velocity = content["velocityEstimate"]
     vx, vy, vz = position["velocity_mps"]
@@ -191,8 +198,7 @@ def test_damaged_and_late_rows_are_reported_and_left_out():
     content = first_rows(30) + b"\x00\xff noise\n" + b"0.0,1,1e-7,0,0,0,0,20,0\n" + b"x" * 70_000
     tail = "\n".join(lines_of()[31:61]).encode()
     positions, errors, code = live(content + b"\n" + tail, "--speed", "1")
-    expected, _, _ = live(first_rows(60), "--speed", "1")
-    assert code == 0 and positions == expected
+    assert code == 0 and positions == positions_of(first_rows(60))
     warned = [line for line in errors if line.startswith("warning")]
     assert [line.split(":")[1].strip() for line in warned] == [
         "standard input, line 32", "standard input, line 33, column 'time_s'",
@@ -204,7 +210,7 @@ def test_a_damaged_row_of_an_epoch_loses_no_other_row_and_csv_may_have_semicolon
     damaged = as_json(lines_of()[:31], True).replace(b"}, {", b'}, {"time_s": "x"}, {')
     positions, errors, code = live(damaged, "--speed", "1")
     marked = b"\xef\xbb\xbf\n" + first_rows(30).replace(b",", b";")
-    assert code == 0 and len(errors) > 9 and positions == live(marked, "--speed", "1")[0]
+    assert code == 0 and len(errors) > 9 and positions == positions_of(marked)
 
 
 def test_a_live_log_that_determines_no_position_says_so_after_some_seconds():
@@ -488,7 +494,7 @@ def test_two_mistakes_are_diagnosed_although_wrong_values_suggest_another_radio(
     first, second = names
     log = wrong_log(tmp_path, RIDE, lambda columns: MISTAKES[second](MISTAKES[first](columns)))
     words = options(log, "--diagnose", folder=RIDE)
-    assert f"consistent if {'; '.join(names)}." in command("localize", *words).stdout
+    assert f"consistent if {'; '.join(names)}." in succeed("localize", *words)
 
 
 def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
@@ -498,7 +504,7 @@ def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
     log = wrong_log(tmp_path, WALK, late)
     scene = tmp_path / "corrected.json"
     words = options(log, "--radio", "standard", "--diagnose", "--write", scene)
-    shown = command("localize", *words).stdout
+    shown = succeed("localize", *words)
     assert "\nNo hypothesis makes the log consistent." in shown
     assert "anchor 1: found NIS" in shown
     assert "Not written: no correction is known." in shown and not scene.exists()
@@ -514,7 +520,7 @@ def test_a_user_who_stands_still_is_no_mistake_of_the_log(tmp_path, epochs, plac
     way.write_text("t,x,y,z\n" + "".join(f"{t},{place}\n" for t in range(epochs)))
     command("simulate", "--scenario", way, "--out", tmp_path)
     words = options(tmp_path / "log.csv", "--diagnose", folder=tmp_path)
-    assert "\nThe log is consistent as it is." in command("localize", *words).stdout
+    assert "\nThe log is consistent as it is." in succeed("localize", *words)
 
 
 def test_a_wrong_doppler_shift_is_found_in_a_log_without_departures(tmp_path):
@@ -585,7 +591,7 @@ def test_an_error_that_all_links_share_is_warned_of_and_corrected(tmp_path, name
     (warning,) = [line for line in done.stderr.splitlines() if "looks as if" in line]
     assert re.search(f"as if {words}", warning) and "protection levels do not hold" in warning
     scene = tmp_path / "corrected.json"
-    shown = command("localize", *ride(log, "--diagnose", "--write", scene)).stdout
+    shown = succeed("localize", *ride(log, "--diagnose", "--write", scene))
     assert "consistent as it is" not in shown and f'write "{key}": ' in shown
     assert json_in(scene).keys() - json_in(RIDE / "scene.json").keys() == {key}
     done = command("localize", *ride(log, "--speed", "auto", "--scene", scene))

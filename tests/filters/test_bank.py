@@ -20,7 +20,7 @@ from mmwave_env.filters.bank import (
     named_modes,
     shipped_modes,
 )
-from mmwave_env.models.radio import TUNED_RADIOS, Radio
+from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
 from tests.paths import write_json
 from tests.refusals import refuses
 
@@ -48,21 +48,17 @@ def test_every_tuned_radio_has_tuned_modes(radio):
     assert not any(mode.coupling for mode in shipped_modes(radio, coupling=False))
 
 
-def test_modes_of_a_radio_that_was_not_tuned_come_from_its_base_with_one_warning(recwarn):
-    lab = Radio("lab", base="high")
-    assert default_modes(lab) == default_modes("high") == default_modes(lab)
-    assert best_bank(lab) == best_bank("high")
-    (warning,) = recwarn
-    assert "'lab'" in str(warning.message) and "'high'" in str(warning.message)
-
-
-def test_a_radio_file_gets_the_modes_and_the_bank_of_its_base(tmp_path, recwarn):
+def test_a_radio_that_was_not_tuned_gets_modes_and_bank_of_its_base_with_one_warning(
+    tmp_path, recwarn
+):
     file = write_json(tmp_path / "phone.json", {"base": "handset", "ue_elements": 4})
+    assert default_modes(radio_from(file)) == default_modes("handset")
     assert default_modes(str(file)) == default_modes("handset") != default_modes("standard")
     assert gym.make("MmWaveLoc-v0", radio=str(file)).unwrapped.modes == default_modes("handset")
     env = gym.make("MmWaveLoc-v0", radio=str(file), beliefs="per-mode").unwrapped
     assert env.modes == best_bank("handset").modes
-    assert len(recwarn) == 1
+    (warning,) = recwarn
+    assert "'phone'" in str(warning.message) and "'handset'" in str(warning.message)
 
 
 def test_robust_modes_are_tuned_like_the_plain_modes_but_do_not_adapt():

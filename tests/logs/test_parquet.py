@@ -93,14 +93,6 @@ def test_the_epochs_before_a_damaged_row_are_returned_before_the_error(
     assert (0 if log is None else len(log)) == row // L
 
 
-@pytest.mark.parametrize("left", [1, 100, -10])
-def test_a_file_that_ends_early_is_refused(tmp_path, left):
-    path = stored(tmp_path, columns_of())
-    path.write_bytes(path.read_bytes()[:left])
-    with refuses("log.parquet", error=LogError):
-        read(path)
-
-
 def test_column_names_that_are_not_valid_text_are_refused(tmp_path):
     path = stored(tmp_path, columns_of(odd_note=[1.0] * len(rows())))
     path.write_bytes(path.read_bytes().replace(b"odd_note", b"odd\xffnote"))

@@ -1,5 +1,7 @@
 """Tests of TUM files: read back as written, read by evo, refused if damaged, and interpolated."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,16 +12,14 @@ from scipy.interpolate import CubicHermiteSpline
 
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, Truth
 from mmwave_env.logs.tum import read_tum, tum_lines
+from tests.logs import by_hand
 from tests.refusals import refuses
 
 POSES = "0.0 1 2 3 0 0 0 1\n0.1 1.5 2 3 0 0 0 1\n0.2 2 2 3 0 0 0 1\n"
 coordinates = st.floats(-1e6, 1e6)
 
 
-def store(folder, content):
-    path = folder / "truth.tum"
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return path
+store = partial(by_hand.store, name="truth.tum")
 
 
 @settings(max_examples=30)
