@@ -45,9 +45,8 @@ class SafeImm(Estimator):
             x, P = map(stacked, estimate(mixture))
             winners = probability.argmax(axis=0)
             everyone = np.arange(probability.shape[1])
-            tracks = mixture.tracks
-            best_x = np.stack([stacked(track.x) for track in tracks])[winners, :, everyone].T
-            best_P = np.stack([stacked(track.P) for track in tracks])[winners, :, everyone].T
+            best_x = np.stack([*map(stacked, mixture.x)])[winners, :, everyone].T
+            best_P = np.stack([*map(stacked, mixture.P)])[winners, :, everyone].T
             safe = (probability.max(axis=0) >= self._probable) & (
                 distance(best_x - x, P) <= self._near
             )

@@ -43,27 +43,20 @@ class ImmSettings(NamedTuple):
     limits: Numbers
 
 
-class ModeTrack(NamedTuple):
-    """One mode's filter within the IMM."""
-
-    # x, P: (7,) mean and (28,) packed covariance (its lower triangle)
-    x: Numbers
-    P: Numbers
-    memory: Memory  # past values on which the mode's gates and its scaling of noise depend
-
-
 class Mixture(NamedTuple):
-    """The belief of an IMM."""
+    """The belief of an IMM: a weighted Gaussian for each mode."""
 
-    tracks: list[ModeTrack]  # one per mode
+    x: Matrix  # (modes, 7) means
+    P: Matrix  # (modes, 28) packed covariances (lower triangles)
+    memories: list[Memory]  # past values on which a mode's gates and scaling of noise depend
     probability: Numbers  # (modes,) probability of each mode
 
 
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
     """Return a mixture of equally probable modes, which all have the prior x (7,), P (28,)."""
     modes = len(pipeline.modes)
-    tracks = [ModeTrack(list(x), list(P), initial_memory(pipeline.layout, 1)) for _ in range(modes)]
-    return Mixture(tracks, [1.0 / modes] * modes)
+    memories = [initial_memory(pipeline.layout, 1)] * modes
+    return Mixture([list(x)] * modes, [list(P)] * modes, memories, [1.0 / modes] * modes)
 
 
 def stay_matrix(modes: int) -> list[list[float]]:
@@ -87,13 +80,12 @@ def moments(
 
 def mix(mixture: Mixture, transition: Matrix) -> tuple[Numbers, list[tuple[Vector, Vector]]]:
     """Return the predicted mode probabilities and each mode's mixed initial belief."""
-    modes = range(len(mixture.tracks))
+    modes = range(len(transition))
     (predicted,) = product([mixture.probability], transition)
-    x, P, _ = zip(*mixture.tracks, strict=True)
     mixed: list[tuple[Vector, Vector]] = []
     for j in modes:
         weights = [transition[i][j] * mixture.probability[i] / predicted[j] for i in modes]
-        mixed.append(moments(weights, x, P))
+        mixed.append(moments(weights, mixture.x, mixture.P))
     return predicted, mixed
 
 
@@ -132,16 +124,15 @@ def imm_epoch(
     The tunings in ``settings`` replace the modes' tunings; ``mixture`` is from the previous epoch.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
-    tracks = []
+    memories = []
     results = []
     layout = pipeline.layout
-    for mode, tuning, track, (x, P) in zip(
-        pipeline.modes, settings.tunings, mixture.tracks, mixed, strict=True
+    for mode, tuning, memory, (x, P) in zip(
+        pipeline.modes, settings.tunings, mixture.memories, mixed, strict=True
     ):
-        result = predict_update(pipeline, mode, x, P, track.memory, epoch, site, tuning)
-        memory = memory_before(track.memory, [result], epoch, layout)
-        memory = memory_after(layout, 0.0, x, result, memory, epoch)
-        tracks.append(ModeTrack(result.x, result.P, memory))
+        result = predict_update(pipeline, mode, x, P, memory, epoch, site, tuning)
+        before = memory_before(memory, [result], epoch, layout)
+        memories.append(memory_after(layout, 0.0, x, result, before, epoch))
         results.append(result)
     limits = [at_degrees(settings.limits, rows) for rows in layout.degrees(epoch.measured)]
     likelihoods = [limited_likelihood(result, limits) for result in results]
@@ -149,7 +140,9 @@ def imm_epoch(
     weights = [
         p * exp(likelihood - best) for p, likelihood in zip(predicted, likelihoods, strict=True)
     ]
-    now = Mixture(tracks, _normalized(weights))
+    means = [result.x for result in results]
+    covariances = [result.P for result in results]
+    now = Mixture(means, covariances, memories, _normalized(weights))
     return ImmEpoch(now, predicted, results)
 
 
@@ -164,7 +157,7 @@ def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
         where(abs(mode - (m + 1.0)) < 0.5, gain * p, p) for m, p in enumerate(mixture.probability)
     ]
     probability = select(mode > 0.5, _normalized(weights), mixture.probability)
-    return Mixture(mixture.tracks, probability)
+    return mixture._replace(probability=probability)
 
 
 def reweighted(mixture: Mixture, log_factors: Vector, dt: Number) -> Mixture:
@@ -174,7 +167,7 @@ def reweighted(mixture: Mixture, log_factors: Vector, dt: Number) -> Mixture:
     """
     step = step_weight(dt)
     pairs = zip(mixture.probability, log_factors, strict=True)
-    return Mixture(mixture.tracks, _normalized([exp(k * step) * p for p, k in pairs]))
+    return mixture._replace(probability=_normalized([exp(k * step) * p for p, k in pairs]))
 
 
 def _normalized(weights: Sequence[Number]) -> Numbers:
@@ -194,11 +187,10 @@ def most_probable_memory(mixture: Mixture) -> Memory:
     for m, probability in enumerate(mixture.probability[1:], start=1):
         number = where(probability > best, float(m), number)
         best = maximum(best, probability)
-    memory: Memory = tree_at(number, [track.memory for track in mixture.tracks])
+    memory: Memory = tree_at(number, mixture.memories)
     return memory._replace(mode=number)
 
 
 def estimate(mixture: Mixture) -> tuple[Numbers, Numbers]:
     """Return the mean (7,) and the packed covariance (28,) of a mixture."""
-    means, covariances, _ = zip(*mixture.tracks, strict=True)
-    return moments(mixture.probability, means, covariances)
+    return moments(mixture.probability, mixture.x, mixture.P)

@@ -76,10 +76,10 @@ def smooth_modes(
     at = indices(begin(pipeline, [0.0] * layout.state_size, [0.0] * layout.triangle))
     filtered = ModeBeliefs(
         mixtures[..., np.array(at.probability)],
-        mixtures[..., np.array([track.x for track in at.tracks])],
-        np.take(mixtures, [unpack(track.P) for track in at.tracks], axis=-1),
+        mixtures[..., np.array(at.x)],
+        np.take(mixtures, list(map(unpack, at.P)), axis=-1),
     )
-    gamma = mixtures[..., np.array([track.memory.gamma for track in at.tracks])]
+    gamma = mixtures[..., np.array([memory.gamma for memory in at.memories])]
     transition = settings_of(bank).transition
     coming = Epoch(dt[:, 1:, None], [], [], [], [], spread_hz[:, 1:, None])
     before = _epochs(filtered, slice(-1))

@@ -120,8 +120,7 @@ def test_transition_probabilities_per_second_are_scaled_to_shorter_steps():
 
 
 def test_the_probability_of_a_mode_can_be_raised_even_from_zero():
-    track = imm.ModeTrack([], [], None)
-    raised = imm.trusting(imm.Mixture([track] * 2, [1.0, 0.0]), 1.0, 1.0)
+    raised = imm.trusting(imm.Mixture([], [], [], [1.0, 0.0]), 1.0, 1.0)
     assert 0.0 < raised.probability[1] == pytest.approx(1e-12 / np.exp(3.0), rel=1e-6)
 
 
