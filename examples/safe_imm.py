@@ -40,7 +40,7 @@ class SafeImm(Estimator):
         settings = settings_of(Bank(pipeline.modes))
         mixture = begin(pipeline, site.prior_x, site.prior_P)
         for epoch in epochs:
-            mixture = imm_epoch(pipeline, settings, mixture, epoch, site).mixture
+            mixture, _, _ = imm_epoch(pipeline, settings, mixture, epoch, site)
             probability = np.array(mixture.probability)
             x, P = map(stacked, estimate(mixture))
             winners = probability.argmax(axis=0)

@@ -159,10 +159,8 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
     epoch = w.incoming.epoch(layout)
     predicted: Numbers = []
     if asked.per_mode:
-        now = imm_epoch(pipeline, w.settings, w.mixture, epoch, w.site)
-        w = w._replace(mixture=now.mixture)
-        results = now.results
-        predicted = now.predicted
+        mixture, predicted, results = imm_epoch(pipeline, w.settings, w.mixture, epoch, w.site)
+        w = w._replace(mixture=mixture)
     else:
         if asked.rule:
             w = w._replace(action=asked.rule(w.x, epoch))

@@ -108,20 +108,16 @@ def step_weight(dt: Number) -> Number:
     return where(dt > 0.0, minimum(dt, 1.0), 1.0)
 
 
-class ImmEpoch(NamedTuple):
-    """The result of an IMM in an epoch."""
-
-    mixture: Mixture  # belief after the epoch
-    predicted: Numbers  # (modes,) probabilities before the epoch's measurement
-    results: list[ModeResult]  # one per mode, computed from the mode's mixed belief
-
-
 def imm_epoch(
     pipeline: Pipeline, settings: ImmSettings, mixture: Mixture, epoch: Epoch, site: Site
-) -> ImmEpoch:
+) -> tuple[Mixture, Numbers, list[ModeResult]]:
     """Run an epoch: mix the beliefs, run every mode, weight the modes by their likelihood.
 
     The tunings in ``settings`` replace the modes' tunings; ``mixture`` is from the previous epoch.
+
+    Returns:
+        The mixture after the epoch, the probabilities (modes,) of modes before its measurement, and
+        each mode's result, computed from its mixed belief.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     memories = []
@@ -142,8 +138,7 @@ def imm_epoch(
     ]
     means = [result.x for result in results]
     covariances = [result.P for result in results]
-    now = Mixture(means, covariances, memories, _normalized(weights))
-    return ImmEpoch(now, predicted, results)
+    return Mixture(means, covariances, memories, _normalized(weights)), predicted, results
 
 
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
