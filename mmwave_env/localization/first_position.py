@@ -272,19 +272,12 @@ class _Sums(NamedTuple):
     information: Numbers  # packed
 
 
-class _Link(NamedTuple):
-    """A link, as for :func:`~mmwave_env.models.measurement.link_group`."""
-
-    anchor: Numbers
-    z: Numbers
-    variance: Numbers
-    measured: Numbers
-
-
 class _Search(NamedTuple):
     """A search for a minimum by Levenberg-Marquardt, over positions (n,) with n = 3 or 4."""
 
-    link: _Link  # the next link to be added
+    # anchor, z, variance and measured of the next link to be added, as for
+    # :func:`~mmwave_env.models.measurement.link_group`
+    link: list[Numbers]
     center: Numbers  # (n,) the weak prior
     weight: Numbers
     tried: Numbers  # (n,) position, and what was added up there
@@ -347,7 +340,7 @@ def _programs(n: int) -> tuple[Program[_Search], Program[_Search]]:
     """Return :func:`_with_link` and :func:`_next_round`, compiled for positions (n,)."""
     many = [0.0] * n
     sums = _Sums(0.0, many, [0.0] * (n * (n + 1) // 2))
-    link = _Link(many[:3], *[[1.0] * 4] * 3)
+    link = [many[:3], *[[1.0] * 4] * 3]
     start = _Search(link, many, many, many, sums, many, sums._replace(cost=np.inf), _DAMPING, 0.0)
     return Program(_with_link, start), Program(_next_round, start)
 
