@@ -308,7 +308,8 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Beliefs:
     spread_hz = batch.table[:, :, at.doppler_spread_hz]
     mixture = parts["mixture"]
     x, P = smooth_modes(bank, pipeline, mixture, dt, spread_hz, hz_per_mps)
-    features = smoothed_features(pipeline, batch, x, P, mixture, [parts[gate] for gate in gates])
+    judged = [parts[gate] for gate in gates]
+    features = smoothed_features(pipeline, batch.table, batch.site, x, P, mixture, judged)
     return Beliefs(features, x, P, parts["error"] + (x - parts["x"])[..., :3])
 
 

@@ -25,7 +25,7 @@ from mmwave_env.models.measurement import blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.numerics.pytree import indices, unflatten
-from mmwave_env.world.episode import EpisodeBatch, blank_incoming
+from mmwave_env.world.episode import blank_incoming
 
 SMOOTHED = "x P x_predicted P_predicted"  # the filtered belief, and the belief before the update
 
@@ -76,7 +76,8 @@ GATES = ("nis", "accepted", "rejected")  # fields of a memory that the features 
 
 def smoothed_features(
     pipeline: Pipeline,
-    batch: EpisodeBatch,
+    table: Array,
+    sites: Array,
     x: Array,
     P: Array,
     mixtures: Array,
@@ -86,7 +87,8 @@ def smoothed_features(
 
     Args:
         pipeline: pipeline of the modes.
-        batch: the N episodes or parts of episodes that were filtered.
+        table: (N, T, columns) epochs, as in :meth:`~mmwave_env.world.episode.Episode.table`.
+        sites: (N, numbers) anchors, carriers and priors; (1, numbers) if all tracks share them.
         x, P: (N, T, 7) means and (N, T, 28) packed covariances of the smoothed beliefs.
         mixtures: (N, T, numbers) the filter's :class:`~mmwave_env.filters.imm.Mixture` after each
             epoch, flattened.
@@ -94,8 +96,8 @@ def smoothed_features(
     """
     layout = pipeline.layout
     n = x.shape[-1]
-    epoch = unflatten(blank_incoming(layout), iter(_leaves(batch.table))).epoch(layout)
-    site = unflatten(blank_site(layout), iter(_leaves(batch.site[:, None])))
+    epoch = unflatten(blank_incoming(layout), iter(_leaves(table))).epoch(layout)
+    site = unflatten(blank_site(layout), iter(_leaves(sites[:, None])))
     at = indices(begin(pipeline, [0.0] * n, [0.0] * layout.triangle))
     probabilities = _leaves(mixtures[..., np.array(at.probability)])
     kept: Any = {name: _leaves(gate) for name, gate in zip(GATES, gates, strict=True)}

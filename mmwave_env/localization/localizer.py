@@ -32,7 +32,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Index, Mask
-from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
+from mmwave_env.world.episode import Episode, columns_of
 
 _CHUNK = 1 << 14  # epochs that are filtered and smoothed together
 
@@ -324,20 +324,20 @@ def _corrected(
 ) -> Track:
     """Correct a part of a smoothed track by windows, which are the smoother's."""
     pipeline = localizer.pipeline
-    batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio)])
+    episode = episode_from(track, localizer.scene, localizer.radio)
+    site = episode.site()[None]
     rejected = track.visible & ~track.accepted
 
     def run(table: Array, x: Array, P: Array, mixtures: Array, *gates: Array) -> tuple[Array, ...]:
         table = table.copy()
-        table[:, 0, columns_of(batch.layout).dt] = 0.0  # each window begins a track, as in training
-        episodes = batch._replace(table=table)
-        features = smoothed_features(pipeline, episodes, x, P, mixtures, list(gates))
+        table[:, 0, columns_of(track.layout).dt] = 0.0  # each window begins a track, as in training
+        features = smoothed_features(pipeline, table, site, x, P, mixtures, gates)
         shift, log_factor, trusted = (part.astype(float) for part in two_way(pipeline, features))
         belief = corrected_all(x, P, shift, log_factor, pipeline)
         return np.stack(belief.x, axis=-1), np.stack(pack(belief.P), axis=-1), trusted
 
     gates = track.nis, track.accepted.astype(float), rejected.astype(float)
     x, P, trusted = _by_windows(
-        run, window, batch.table[0], track.smooth_x, track.smooth_P, kept, *gates
+        run, window, episode.table(), track.smooth_x, track.smooth_P, kept, *gates
     )
     return replace(track, smooth_x=x, smooth_P=P, smooth_trusted=trusted)

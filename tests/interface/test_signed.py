@@ -64,9 +64,10 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
     observed, _ = played(episodes, actions)
     names = ("x", "P", "mixture", *(f"memory.{gate}" for gate in GATES))
     engine = Engine(pipeline, len(episodes), observation="", bank=BANK)
-    engine.load(episodes)
+    batch = EpisodeBatch.of(episodes)
+    engine.load(batch)
     x, P, mixtures, *gates = engine.run(*names, actions=actions).values()
-    features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
+    features = smoothed_features(pipeline, batch.table, batch.site, x, P, mixtures, gates)
     # A feature compares the heading with the previous epoch's heading; the first epoch has none.
     assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
 
