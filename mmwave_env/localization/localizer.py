@@ -122,13 +122,12 @@ class Localizer:
         table[0, columns_of(self.layout).dt] = log.time_s[0] - before_s
         self.engine.go_on(table[None])
 
-    def run(self, engine: Engine, time_s: Any, count: int = 1) -> dict[str, Array]:
-        """Filter the loaded epochs of the first tracks of an engine; N is their ``count``.
+    def run(self, engine: Engine, time_s: Any) -> dict[str, Array]:
+        """Filter the loaded epochs of the first N tracks of an engine.
 
         Args:
             engine: an engine from :meth:`tracks`.
             time_s: (N, T) times of the epochs.
-            count: number of tracks.
 
         Returns:
             Arrays (N, T, ...): the parts :data:`~mmwave_env.localization.levels.PARTS`,
@@ -137,7 +136,7 @@ class Localizer:
         """
         kept = "mixture" if self.switching.bank else SMOOTHED
         outputs = engine.run(*PARTS, "memory.mode", kept)
-        parts = {name: part[:count] for name, part in outputs.items()}
+        parts = {name: part[: len(time_s)] for name, part in outputs.items()}
         parts["kept"] = parts[kept]
         mixes = self.switching.bank is not None
         parts["level_factors"] = self.levels.factors(self.layout.anchors, mixes, time_s, parts)

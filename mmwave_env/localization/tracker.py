@@ -297,7 +297,7 @@ class Tracker:
     def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
         count = len(self._loaded)
-        parts = self._localizer.run(self._engine, time_s, count)
+        parts = self._localizer.run(self._engine, time_s)
         layout = self._localizer.layout
         rejected = parts["memory.rejected"]
         measured = (parts["memory.accepted"] + rejected).tolist()
