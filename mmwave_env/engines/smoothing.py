@@ -14,7 +14,7 @@ import numpy as np
 
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.engines.epoch import with_expected_spread
-from mmwave_env.filters.imm import begin
+from mmwave_env.filters.imm import mixture_index
 from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import TrackEpoch, blank_epoch, smooth_epoch
@@ -24,7 +24,7 @@ from mmwave_env.interface.signed import LastEpoch, after_update
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
-from mmwave_env.numerics.pytree import indices, unflatten
+from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import blank_incoming
 
 SMOOTHED = "x P x_predicted P_predicted"  # the filtered belief, and the belief before the update
@@ -95,11 +95,9 @@ def smoothed_features(
         gates: for each name in :data:`GATES`, values (N, T, groups) from the most probable mode.
     """
     layout = pipeline.layout
-    n = x.shape[-1]
     epoch = unflatten(blank_incoming(layout), iter(_leaves(table))).epoch(layout)
     site = unflatten(blank_site(layout), iter(_leaves(sites[:, None])))
-    at = indices(begin(pipeline, [0.0] * n, [0.0] * layout.triangle))
-    probabilities = _leaves(mixtures[..., np.array(at.probability)])
+    probabilities = _leaves(mixtures[..., np.array(mixture_index(pipeline).probability)])
     kept: Any = {name: _leaves(gate) for name, gate in zip(GATES, gates, strict=True)}
     memory = initial_memory(layout, len(pipeline.modes))._replace(**kept)
     before = _leaves(np.concatenate([x[:, :1], x[:, :-1]], axis=1))[3:6]

@@ -26,7 +26,7 @@ from mmwave_env.numerics.numbers import (
     minimum,
     where,
 )
-from mmwave_env.numerics.pytree import select, tree_at
+from mmwave_env.numerics.pytree import indices, select, tree_at
 
 DEFAULT_STAY = 0.95  # probability that the mode does not change within a second
 TRUST = 3.0  # if an agent trusts a mode, its probability is multiplied by exp(TRUST) each second
@@ -57,6 +57,12 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
     modes = len(pipeline.modes)
     memories = [initial_memory(pipeline.layout, 1)] * modes
     return Mixture([list(x)] * modes, [list(P)] * modes, memories, [1.0 / modes] * modes)
+
+
+def mixture_index(pipeline: Pipeline) -> Mixture:
+    """Return a :class:`Mixture` that holds the index of each number in a flattened mixture."""
+    layout = pipeline.layout
+    return indices(begin(pipeline, [0.0] * layout.state_size, [0.0] * layout.triangle))
 
 
 def stay_matrix(modes: int) -> list[list[float]]:

@@ -17,14 +17,13 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from mmwave_env.filters.bank import Bank, settings_of
-from mmwave_env.filters.imm import begin, over_step
+from mmwave_env.filters.imm import mixture_index, over_step
 from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.filters.textbook import combine
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import cholesky, forward, pack, unpack
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.numerics.pytree import indices
 
 _EPOCHS_TOGETHER = 800  # number of epochs whose predictions are computed together
 Parts = TypeVar("Parts", bound=tuple[Array, ...])
@@ -72,8 +71,7 @@ def smooth_modes(
         ]
         means, covariances = zip(*parts, strict=True)
         return np.concatenate(means), np.concatenate(covariances)
-    layout = pipeline.layout
-    at = indices(begin(pipeline, [0.0] * layout.state_size, [0.0] * layout.triangle))
+    at = mixture_index(pipeline)
     filtered = ModeBeliefs(
         mixtures[..., np.array(at.probability)],
         mixtures[..., np.array(at.x)],
