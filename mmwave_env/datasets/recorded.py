@@ -168,8 +168,8 @@ class Track(Arrays, ABC):
 class TrackSource:
     """Source of episodes from one track.
 
-    An episode lies within a *stretch*: consecutive epochs that all have a true position, without a
-    gap of more than ``GAP_S``.
+    An episode lies within a *stretch*: consecutive epochs that all have a true position and
+    velocity, without a gap of more than ``GAP_S``.
 
     Args:
         track: a measured track, whose measurements are the same in each episode; or a recording
@@ -213,7 +213,8 @@ class TrackSource:
                 raise ValueError(
                     f"measurements: found {shown}, expected a range or an angle of {track.record}"
                 )
-        runs = stretches(track.time_s, track.position_m, GAP_S)
+        truth = np.hstack([track.position_m, track.velocity_mps])
+        runs = stretches(track.time_s, truth, GAP_S)
         if not runs:
             raise ValueError(
                 f"{track.record}: found no two consecutive epochs at most {GAP_S:g} s apart "

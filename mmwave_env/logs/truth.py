@@ -75,12 +75,12 @@ class Truth:
         warnings.warn(problem, stacklevel=3)
 
 
-def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
-    """Return runs of two or more epochs with positions and without a gap longer than ``gap_s``.
+def stretches(time_s: Array, truth: Array, gap_s: float) -> list[slice]:
+    """Return runs of two or more epochs with a truth and without a gap longer than ``gap_s``.
 
-    Times (T,) increase; positions (T, 3) are NaN where not known.
+    Times (T,) increase; true positions (T, 3), or also velocities (T, 6), are NaN where not known.
     """
-    known = np.asarray(np.isfinite(position_m).all(axis=1))
+    known = np.asarray(np.isfinite(truth).all(axis=1))
     ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > gap_s)) + 1
     runs = [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)])]
     return [run for run in runs if run.stop - run.start > 1]

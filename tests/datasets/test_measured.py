@@ -1,5 +1,7 @@
 """Tests of measured tracks, the episodes from them, and recordings from arrays."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -139,13 +141,15 @@ def test_stretches_are_runs_of_epochs_with_known_truth_and_without_a_gap(known, 
 
 
 def broken():
-    """Return a track of 60 epochs; epochs 20 and 21 have no truth, and epoch 50 follows a gap."""
+    """Return a track of 60 epochs; 20 and 21 lack a true position or velocity, 50 follows a gap."""
     episode = simulated()
     position = episode.truth_position_m.copy()
+    velocity = episode.truth_velocity_mps.copy()
     time = episode.time_s.copy()
-    position[20:22] = np.nan
+    position[20] = np.nan
+    velocity[21] = np.nan
     time[50:] += 20.0
-    return track(position_m=position, time_s=time)
+    return replace(track(position_m=position, time_s=time), velocity_mps=velocity)
 
 
 def test_episodes_lie_within_stretches():
