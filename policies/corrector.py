@@ -9,14 +9,23 @@ corrections are scaled down: the farther outside the features are, the closer to
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import Repeated
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation, observation_columns
-from mmwave_env.interface.policy import Correction, FixedMode, Policy, Switching
+from mmwave_env.interface.policy import (
+    CompiledPolicy,
+    Correction,
+    FixedMode,
+    Policy,
+    Stages,
+    Switching,
+)
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import AnyPath
 from mmwave_env.numerics.numbers import Array32, Index, Mask
@@ -28,6 +37,7 @@ from policies.network import (
     correct_track,
     layer_in,
     mean_and_differences,
+    play_epochs,
 )
 from policies.policy_file import CORRECTIONS, PolicyFile
 
@@ -57,8 +67,6 @@ def network_of(file: PolicyFile, *recurrent: str) -> Network:
     units = [Unit(layer_in(tensors, u, "_ih"), layer_in(tensors, u, "_hh")) for u in recurrent]
     out = layer_in(tensors, "out")
     return Network(
-        low=tensors["low"],
-        high=tensors["high"],
         front=layer_in(tensors, "front"),
         units=tuple(units),
         head=layer_in(tensors, "head"),
@@ -66,7 +74,7 @@ def network_of(file: PolicyFile, *recurrent: str) -> Network:
     )
 
 
-class Corrector(LearnedPolicy, Policy):
+class Corrector(LearnedPolicy, CompiledPolicy):
     """A policy that chooses the same actions as its base, and corrects the base's beliefs.
 
     ```python
@@ -88,6 +96,7 @@ class Corrector(LearnedPolicy, Policy):
         file = policy_file(path)
         self._network = network_of(file, "gru")
         self._run = Repeated(correct_epoch)
+        self._play = Repeated(play_epochs)
         self._base = base_policy(file.card.base)
         self._forget(0)
         super().__init__(file, observation)
@@ -120,12 +129,24 @@ class Corrector(LearnedPolicy, Policy):
 
         Call this once after every step, with the observations (n, features) of the step.
         """
-        features = np.ascontiguousarray(self.features_in(observation), np.float32)
-        n = len(features)
+        observations = self._checked(observation)
+        n = len(observations)
         answers = np.empty((n, CORRECTIONS), np.float32)
         trusted = np.empty(n, np.float32)
-        self._run([(0, n)], 1, features, self._network, *self.memory, answers, trusted)
+        self._run(
+            [(0, n)], 1, observations, self.sight, self._network, *self.memory, answers, trusted
+        )
         return Correction(answers[:, :3], answers[:, 3:], trusted)
+
+    def play(self, stages: Stages, *played: NDArray[Any]) -> bool:
+        """Play the next epochs (:class:`~mmwave_env.interface.policy.CompiledPolicy`)."""
+        base = self._base
+        if not isinstance(base, LearnedSwitch):
+            return False
+        networks = base.sight, base.layers, self.sight, self._network
+        blocks = len(stages.states[0].rows)
+        self._play([(0, blocks)], 1, stages, *networks, *self.memory, *played)
+        return True
 
 
 class TwoWayCorrector(LearnedPolicy):
@@ -144,12 +165,11 @@ class TwoWayCorrector(LearnedPolicy):
         :func:`~mmwave_env.engines.smoothing.smoothed_features` computes them (n, T, features).
         """
         self._find_in(observation_columns(after_update(pipeline)))
-        read = self._features_of(features)
-        n, epochs, _ = read.shape
+        n, epochs, _ = features.shape
         answers = np.empty((n, epochs, CORRECTIONS), np.float32)
         trusted = np.empty((n, epochs), np.float32)
-        for track in zip(read, answers, trusted, strict=True):
-            correct_track(track[0], self._network, *track[1:])
+        for i in range(n):
+            correct_track(features[i], self.sight, self._network, answers[i], trusted[i])
         return Correction(answers[..., :3], answers[..., 3:], trusted)
 
 

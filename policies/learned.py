@@ -1,4 +1,4 @@
-"""Learned policies, which were trained with PyTorch and run with numpy."""
+"""Learned policies, which were trained with PyTorch and run compiled."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mmwave_env.compiler.program import Repeated
 from mmwave_env.filters.bank import Bank
 from mmwave_env.interface.features import UNSEEN
 from mmwave_env.interface.observation import Column, Observation
@@ -14,6 +15,7 @@ from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.numerics.numbers import Array32, Index
+from policies.network import Sight, layer_in, weigh_epoch
 from policies.policy_file import PolicyFile, read_policy
 
 
@@ -36,6 +38,7 @@ class LearnedPolicy:
         modes: modes that the environment must have; if every mode has its own belief, these are
             the modes of the first bank in the file.
         beliefs: beliefs that the environment must have, "shared" or "per-mode".
+        sight: how the network reads observations.
 
     Raises:
         ValueError: the name is unknown, the file is damaged, or the environment lacks a feature.
@@ -47,11 +50,11 @@ class LearnedPolicy:
         self.card = self._file.card
         self.modes = self.card.modes
         self.beliefs = self.card.beliefs
+        tensors = self._file.tensors
         self._width = len(self.card.features)  # number of columns in the observations
-        # columns that the policy reads; None if it reads all of them in order
-        self._columns: Index | None = None
-        # for each feature: the value to use if the scene lacks its anchor; NaN if the scene has it
-        self._unseen: Array32 | None = None
+        every: Index = np.arange(self._width)
+        nothing = np.full(self._width, np.nan, np.float32)
+        self.sight = Sight(every, nothing, tensors["low"], tensors["high"])
         if observation is not None:
             self.read_from(observation)
 
@@ -122,8 +125,7 @@ class LearnedPolicy:
                     f"{self._made_with}"
                 )
         self._width = len(columns)
-        self._columns = None if features == columns else read
-        self._unseen = None if np.isnan(unseen).all() else unseen
+        self.sight = self.sight._replace(columns=read, unseen=unseen)
 
     @property
     def _made_with(self) -> str:
@@ -133,8 +135,8 @@ class LearnedPolicy:
             arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(self.card.banks))}")'
         return f'gym.make("MmWaveLoc-v0", {arguments}, observation={self.card.observation!r})'
 
-    def features_in(self, observation: Array32) -> Array32:
-        """Return the features (n, features) that the network reads, taken from observations.
+    def _checked(self, observation: Array32) -> Array32:
+        """Return observations (n, columns) for compiled code.
 
         Raises:
             ValueError: the number of columns is wrong.
@@ -146,16 +148,7 @@ class LearnedPolicy:
                 f"than those of {self._made_with}, use "
                 f"{type(self).__name__}({str(self._file.path)!r}, env.unwrapped.observation)"
             )
-        return self._features_of(observation)
-
-    def _features_of(self, observation: Array32) -> Array32:
-        """Return the features (..., features) that the network reads, of columns (..., columns)."""
-        if self._columns is None:
-            return observation
-        read = np.take(observation, self._columns, axis=-1)
-        return (
-            read if self._unseen is None else np.where(np.isnan(self._unseen), read, self._unseen)
-        )
+        return np.ascontiguousarray(observation, np.float32)
 
 
 class LearnedSwitch(LearnedPolicy, Policy):
@@ -190,10 +183,9 @@ class LearnedSwitch(LearnedPolicy, Policy):
                 f"{self._file.path}: found a corrector, expected a switcher; use policies.Corrector"
             )
         tensors = self._file.tensors
-        layers = sum(name.startswith("layer.") for name in tensors)
-        self._layers = [
-            (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers // 2)
-        ]
+        count = sum(name.startswith("layer.") for name in tensors) // 2
+        self.layers = tuple(layer_in(tensors, f"layer.{i}") for i in range(count))
+        self._run = Repeated(weigh_epoch)
 
     def act(self, observation: Array32) -> Index:
         """Return actions (n,) for observations (n, features); errors as in :meth:`logits`."""
@@ -209,13 +201,11 @@ class LearnedSwitch(LearnedPolicy, Policy):
         Raises:
             ValueError: the number of features is wrong.
         """
-        observation = self.features_in(observation)
-        tensors = self._file.tensors
-        x = np.minimum(np.maximum(observation, tensors["low"]), tensors["high"])
-        *hidden, (weight, bias) = self._layers
-        for w, b in hidden:
-            x = np.tanh(x @ w + b)
-        return x @ weight + bias
+        observations = self._checked(observation)
+        n = len(observations)
+        logits = np.empty((n, len(self.layers[-1].bias)), np.float32)
+        self._run([(0, n)], 1, observations, self.sight, self.layers, logits)
+        return logits
 
 
 def policy_file(path: AnyPath | PolicyFile) -> PolicyFile:

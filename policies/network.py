@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import register_jitable
 
+from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import compiled
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
-from mmwave_env.numerics.numbers import Array32
+from mmwave_env.numerics.numbers import Array32, Index
 from policies.policy_file import CORRECTIONS, Tensors
 
 # "Trust" is the factor, 0 to 1, by which corrections are scaled.
@@ -42,11 +43,24 @@ class Unit(NamedTuple):
     of_state: Layer  # (units, 3 units)
 
 
+class Sight(NamedTuple):
+    """How a network reads an observation.
+
+    Attributes:
+        columns: (features,) the features' columns in the observation.
+        unseen: (features,) values of features whose anchor the scene lacks; else NaN.
+        low, high: (features,) ranges of the features in training, to which they are limited.
+    """
+
+    columns: Index
+    unseen: Array32
+    low: Array32
+    high: Array32
+
+
 class Network(NamedTuple):
     """A recurrent network that corrects beliefs."""
 
-    low: Array32  # (features,) ranges of the features in training
-    high: Array32
     front: Layer
     units: tuple[Unit, ...]  # one, or a second that reads the track backwards
     head: Layer  # of the units' states and the front layer's output
@@ -108,23 +122,35 @@ def _linear(out, x, layer):  # type: ignore[no-untyped-def]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _read(features, network, front):  # type: ignore[no-untyped-def]
-    """Set ``front`` to the first layer's output; return the trust that the features' ranges allow.
+def _read(observation, sight, seen):  # type: ignore[no-untyped-def]
+    """Set ``seen`` (features,) to an observation's features, limited to their ranges.
 
-    Features are limited to their ranges. A feature that is NaN becomes the lower limit, and the
-    trust is then 0.
+    Return how far outside its range the farthest is. A feature that is NaN becomes the lower limit,
+    and the result is then NaN.
     """
-    inside = np.empty(len(features), np.float32)
     beyond = np.float32(0.0)
-    for i in range(len(features)):
-        value = features[i]
-        inside[i] = network.low[i]
-        if value > network.low[i]:
-            inside[i] = min(value, network.high[i])
-        outside = abs(value - inside[i])
+    for i in range(len(seen)):
+        value = sight.unseen[i]
+        if math.isnan(value):
+            value = observation[sight.columns[i]]
+        seen[i] = sight.low[i]
+        if value > sight.low[i]:
+            seen[i] = min(value, sight.high[i])
+        outside = abs(value - seen[i])
         if outside > beyond or math.isnan(outside):
             beyond = outside  # once NaN, it stays NaN
-    _linear(front, inside, network.front)
+    return beyond
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _look(observation, sight, layer, front):  # type: ignore[no-untyped-def]
+    """Set ``front`` to the first layer's output; return the trust that the features' ranges allow.
+
+    If a feature is NaN, the trust is 0.
+    """
+    seen = np.empty(len(sight.low), np.float32)
+    beyond = _read(observation, sight, seen)
+    _linear(front, seen, layer)
     squash(front)
     if math.isnan(beyond):
         return np.float32(0.0)
@@ -181,13 +207,34 @@ def _answer(memory, front, trust, network, answer):  # type: ignore[no-untyped-d
 
 
 @compiled
-def correct_epoch(begin, end, features, network, state, trust, answers, trusted):  # type: ignore[no-untyped-def]
+def weigh_epoch(begin, end, observations, sight, layers, logits):  # type: ignore[no-untyped-def]
+    """Compute a switcher's logits for an epoch of some of n tracks.
+
+    Args:
+        begin, end: first track, and the track after the last.
+        observations: (n, columns) in single precision.
+        sight, layers: how to read them, and the switcher's layers.
+        logits: (n, actions) filled with the logits.
+    """
+    for i in range(begin, end):
+        x = np.empty(len(sight.low), np.float32)
+        _read(observations[i], sight, x)
+        for k in range(len(layers) - 1):
+            hidden = np.empty(len(layers[k].bias), np.float32)
+            _linear(hidden, x, layers[k])
+            squash(hidden)
+            x = hidden
+        _linear(logits[i], x, layers[-1])
+
+
+@compiled
+def correct_epoch(begin, end, observations, sight, network, state, trust, answers, trusted):  # type: ignore[no-untyped-def]
     """Correct an epoch of some of n tracks.
 
     Args:
         begin, end: first track, and the track after the last.
-        features: (n, features) in single precision.
-        network: the :class:`Network`.
+        observations: (n, columns) in single precision.
+        sight, network: how to read them, and the :class:`Network`.
         state: (n, units) the recurrent unit's states, changed in place.
         trust: (n,) trust of the features' ranges, changed in place.
         answers: (n, CORRECTIONS) filled with the corrections.
@@ -195,28 +242,70 @@ def correct_epoch(begin, end, features, network, state, trust, answers, trusted)
     """
     front = np.empty(len(network.front.bias), np.float32)
     for i in range(begin, end):
-        trust[i] = min(_read(features[i], network, front), trust[i] + RECOVERY)
+        inside = _look(observations[i], sight, network.front, front)
+        trust[i] = min(inside, trust[i] + RECOVERY)
         _remember(front, network.units[0], state[i])
         trusted[i] = _answer(state[i], front, trust[i], network, answers[i])
 
 
 @compiled
-def correct_track(features, network, answers, trusted):  # type: ignore[no-untyped-def]
+def play_epochs(  # type: ignore[no-untyped-def]
+    begin, end, stages, base_sight, layers, sight, network, memory, trust, actions, outputs, trusted
+):
+    """Play T epochs of n tracks: choose modes by a switcher, and correct beliefs.
+
+    Args:
+        begin, end: first block of the tracks, and the block after the last.
+        stages: the programs of an epoch (:class:`~mmwave_env.interface.policy.Stages`).
+        base_sight, layers: as for :func:`weigh_epoch`.
+        sight, network, memory, trust: as for :func:`correct_epoch`.
+        actions, outputs, trusted: (n, T), (n, T, k), (n, T) filled with the numbers of the modes,
+            the output rows, and the factors that scaled the corrections.
+    """
+    n, epochs = actions.shape
+    io = stages.io
+    observations = io.observations[:, 0]
+    logits = np.empty((n, len(layers[-1].bias)), np.float32)
+    answers = np.empty((n, CORRECTIONS), np.float32)
+    factors = np.empty(n, np.float32)
+    for t in range(epochs):
+        for stage in range(3):  # one call of advance, which takes long to compile
+            state = stages.states[min(stage, 1)]
+            advance(begin, end, stages.runs[stage], stages.blank, state, io)
+            if stage == 0:
+                weigh_epoch(0, n, observations, base_sight, layers, logits)
+                for i in range(n):
+                    actions[i, t] = logits[i].argmax()
+                    io.inputs[i, 0, 0] = actions[i, t]
+            elif stage == 1:
+                correct_epoch(0, n, observations, sight, network, memory, trust, answers, factors)
+                for i in range(n):
+                    trusted[i, t] = factors[i]
+                    for j in range(CORRECTIONS):
+                        io.inputs[i, 0, 1 + j] = answers[i, j]
+        for i in range(n):
+            for j in range(outputs.shape[2]):
+                outputs[i, t, j] = io.outputs[i, 0, j]
+
+
+@compiled
+def correct_track(observations, sight, network, answers, trusted):  # type: ignore[no-untyped-def]
     """Correct a track, which is read forwards and backwards.
 
     Args:
-        features: (T, features) in single precision.
-        network: the :class:`Network`, which has two units of the same size.
+        observations: (T, columns) in single precision.
+        sight, network: how to read them, and the :class:`Network`, whose two units have the same
+            size.
         answers: (T, CORRECTIONS) filled with the corrections.
         trusted: (T,) filled with the factors that scaled them.
     """
-    T = len(features)
+    T = len(observations)
     units = len(network.units[0].of_state.weight)
     front = np.empty((T, len(network.front.bias)), np.float32)
     memory = np.empty((T, 2 * units), np.float32)
     strange = np.empty(T, np.float32)
     for t in range(T):
-        strange[t] = _read(features[t], network, front[t])
+        strange[t] = _look(observations[t], sight, network.front, front[t])
     trust = strange.copy()
     for direction in range(2):
         state = np.zeros(units, np.float32)

@@ -17,6 +17,7 @@ from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import run_contender, score
 from experiments.reporting.figures import picture
 from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import Correction
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
@@ -156,15 +157,18 @@ class Without(Corrector):
 
     def __init__(self, path: str, table: Observation, begins: tuple[str, ...]) -> None:
         super().__init__(path, table)
-        names = [column.name for column in self.card.features]
+        names = [column.name for column in table.columns]
         self._others = [i for i, name in enumerate(names) if name.startswith(begins)]
 
-    def features_in(self, observation: NDArray[np.float32]) -> Any:
-        """Return the features, some of them from the same epoch of another episode."""
-        features = super().features_in(observation)
-        mixed = features.copy()
-        mixed[:, self._others] = np.roll(features, 1, axis=0)[:, self._others]
-        return mixed
+    def play(self, *_: Any) -> bool:
+        """Leave the epochs to :meth:`correct`."""
+        return False
+
+    def correct(self, observation: NDArray[np.float32]) -> Correction:
+        """Correct with some columns from the same epoch of another episode."""
+        mixed = observation.copy()
+        mixed[:, self._others] = np.roll(observation, 1, axis=0)[:, self._others]
+        return super().correct(mixed)
 
 
 def without_groups(radio: str) -> Iterator[tuple[str, Array]]:

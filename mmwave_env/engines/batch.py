@@ -180,13 +180,16 @@ class Batch:
             for array, values in zip(arrays, before, strict=True):
                 array[block, :, lane] = values
 
+    @property
+    def _same(self) -> BatchState:
+        """Return the state for a program that works on the epoch that ran last."""
+        return BatchState(self.state.rows, _NO_FEED, self.state.table, self._over, self._over)
+
     def _advance(
         self, parts: list[tuple[int, int]], io: StepIO, program: Program[Any], again: bool
     ) -> None:
         """Run the next epochs of some ranges of blocks; arguments are as for :meth:`advance`."""
-        state = self.state
-        if again:
-            state = BatchState(state.rows, _NO_FEED, state.table, self._over, self._over)
+        state = self._same if again else self.state
         if self.on_floats:
             for begin, end in parts:
                 program.run_on_floats(begin, end, state, io)

@@ -33,7 +33,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE, WEIGHTS
 from mmwave_env.interface.features import Feature
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.policy import Policy, Rule, policy_from
+from mmwave_env.interface.policy import CompiledPolicy, Policy, Rule, Stages, policy_from
 from mmwave_env.interface.reward import Reward
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.numerics.pytree import flatten
@@ -215,6 +215,12 @@ class Engine(Batch):
         self.advance(io, program=self._program(correct), again=True)
         return io.outputs[:, 0]
 
+    def stages(self, rows: Index) -> Stages:
+        """Return the programs of an epoch for a compiled policy; ``rows`` are the output rows."""
+        verbs = (filter_epoch,), (decide, refresh), (correct,)
+        runs = tuple(self._program(*some).on_lanes() for some in verbs)
+        return Stages(runs, self.io(rows), self.program.blank, (self.state, self._same))
+
     def step(
         self, actions: NDArray[np.integer[Any]] | int = 0, places: Index | None = None
     ) -> Array32:
@@ -325,7 +331,12 @@ def play(
     outputs = np.empty((n, epochs, len(output_rows)))
     features = np.empty((n, epochs, len(columns)), np.float32)
     trusted = np.empty((n, epochs))
-    for t in range(epochs):
+    is_played = (
+        isinstance(policy, CompiledPolicy)
+        and not len(columns)
+        and policy.play(engine.stages(output_rows), actions, outputs, trusted)
+    )
+    for t in range(0 if is_played else epochs):
         acted = policy.act(engine.filter())
         actions[:, t] = 1 + acted.argmax(axis=1) if policy.action == WEIGHTS else acted
         if corrects:

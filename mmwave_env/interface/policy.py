@@ -4,6 +4,7 @@ A policy has two verbs: it chooses actions, and it may correct beliefs. Rules, l
 users' agents all follow the protocol :class:`Policy`; code that runs filters asks for nothing else.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.program import BatchState, StepIO
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -20,7 +22,7 @@ from mmwave_env.interface.observation import Observation, action_names
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch
-from mmwave_env.numerics.numbers import Array32, Index, Mask, Number, Vector
+from mmwave_env.numerics.numbers import Array, Array32, Index, Mask, Number, Vector
 
 Rule = Callable[[Vector, Epoch], Number]
 OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
@@ -73,6 +75,34 @@ class Policy(Protocol):
         (:func:`~mmwave_env.interface.signed.after_update`) are always known.
         """
         return None
+
+
+class Stages(NamedTuple):
+    """The programs of an epoch, between which a compiled policy acts and corrects n tracks.
+
+    Attributes:
+        runs: addresses of the programs that filter, decide and correct.
+        io: their inputs and outputs, of one epoch.
+        blank: as for :func:`~mmwave_env.compiler.advance.advance`.
+        states: the state to filter the next epoch; and to go on with that epoch.
+    """
+
+    runs: tuple[int, ...]
+    io: StepIO
+    blank: Array
+    states: tuple[BatchState, BatchState]
+
+
+class CompiledPolicy(Policy):
+    """A policy that corrects beliefs, and can play tracks in one call of compiled code."""
+
+    @abstractmethod
+    def play(self, stages: Stages, actions: Index, outputs: Array, trusted: Array) -> bool:
+        """Play the next T epochs of n tracks; return False if that is impossible.
+
+        The arrays (n, T), (n, T, k), (n, T) are filled with actions, the output rows, and the
+        factors that scaled the corrections.
+        """
 
 
 # A network that corrects n smoothed tracks: given their pipeline and whole tracks of features

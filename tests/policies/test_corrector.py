@@ -2,16 +2,20 @@
 
 import pickle
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from mmwave_env.engines.engine import Engine, play
 from mmwave_env.filters import Pipeline
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import policy_from
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.layout import Layout
+from mmwave_env.task import task_from
 from policies import Corrector, LearnedSwitch, load
 from policies.corrector import TwoWayCorrector
 from policies.policy_file import CORRECTIONS
@@ -143,6 +147,27 @@ def test_a_corrector_remembers_until_an_episode_begins(path):
     again = corrector.correct(shown[0]).shift
     assert_array_equal(again[[0, 2]], first[[0, 2]])
     assert (again[[1, 3]] != first[[1, 3]]).any(axis=1).all()
+
+
+def test_compiled_play_equals_the_verbs_called_epoch_by_epoch():
+    """Check eleven tracks, which need two blocks, of two lengths."""
+    switching = load("corrector")
+    batch = task_from(episode_steps=30).simulated.sample_batch(np.arange(11, dtype=np.uint64))
+    batch.length[::3] = 17
+    played = []
+    for is_compiled in (True, False):
+        policy = switching.start(batch.layout)
+        if not is_compiled:
+            verbs = {name: getattr(policy, name) for name in ("act", "correct", "reset")}
+            policy = policy_from(SimpleNamespace(**verbs), "ours")
+        pipeline = switching.pipeline(batch.layout, planar=False)
+        engine = Engine(pipeline, 11, None, "signed", switching.bank, policy=policy)
+        engine.load(batch)
+        parts = [play(engine, policy, epochs, ["x", "P", "memory.nis"]) for epochs in (12, 18)]
+        played.append({name: np.hstack([part[name] for part in parts]) for name in parts[0]})
+    assert np.ptp(played[0]["mode"]) > 0 and np.ptp(played[0]["trusted"]) > 0.0
+    for name, values in played[0].items():
+        assert_array_equal(values, played[1][name])
 
 
 def test_a_pickled_corrector_goes_on_whatever_the_layout_of_observations(path):
