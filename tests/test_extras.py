@@ -10,23 +10,22 @@ from tests.cli import assert_one_clear_line, command
 from tests.paths import LOGS
 
 LOG = LOGS / "canyon28_vehicle"
+RIDE = (LOG / "log.csv", "--scene", LOG / "scene.json")
 
 
 @pytest.mark.parametrize(
-    ("package", "words"),
+    ("package", "extra", "file", "words"),
     [
-        ("matplotlib", ["localize", LOG / "log.csv", "--scene", LOG / "scene.json", "--plot"]),
-        ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
-        ("filterpy", ["speed", "--json"]),
-        ("pygame", ["watch", "--out"]),
+        ("matplotlib", "plot", "new.png", ["localize", *RIDE, "--plot"]),
+        ("matplotlib", "plot", "new.png", ["compare", "--policies", "fixed-ekf", "--errors"]),
+        ("filterpy", "filterpy", "new.json", ["speed", "--json"]),
+        ("pygame", "render", "new.gif", ["watch", "--out"]),
     ],
 )
 def test_a_command_names_the_missing_extra_and_writes_nothing(
-    package, words, tmp_path, monkeypatch
+    package, extra, file, words, tmp_path, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    extras = {"matplotlib": ("plot", "new.png"), "pygame": ("render", "new.gif")}
-    extra, file = extras.get(package, (package, "new.json"))
     assert_one_clear_line(
         command(*words, tmp_path / file), rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'"
     )

@@ -190,15 +190,11 @@ def trained():
     return {RUN: rewards(10, 3), OTHER: rewards(11, 4) + 9.0}
 
 
-@pytest.fixture(scope="module")
-def compared(scores, trained):
-    return {
+def test_differences_are_paired_by_episode(scores, trained):
+    compared = {
         name: over_training_seeds(name, [{"reward": each} for each in rewards], scores)[0]
         for name, rewards in trained.items()
     }
-
-
-def test_differences_are_paired_by_episode(compared, scores, trained):
     for name, content in compared.items():
         gains = [f"minus {rival}" for rival in ("fixed-ukf", "speed-rule", "imm", "imm-best")]
         assert list(content) == ["reward", *gains]

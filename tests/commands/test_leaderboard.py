@@ -20,6 +20,10 @@ GOOD = "guided"
 POOR = "imm-best"
 
 
+def shipped(name):
+    return json_in(FOLDER / f"{name}.json")
+
+
 @pytest.fixture(scope="module")
 def entries(tmp_path_factory):
     """Return a folder with the files of two policies, which were evaluated on few episodes."""
@@ -54,7 +58,7 @@ def test_the_option_keep_skips_policies_that_already_have_a_file(entries, tmp_pa
 
 
 def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
-    good = json_in(FOLDER / f"{GOOD}.json")
+    good = shipped(GOOD)
     for damage, message in (
         ({"sites": {}}, "not an entry: street:handset: found none"),
         ({"sites": good["sites"] | {"o1:handset": {}}}, "not an entry: "),
@@ -80,8 +84,8 @@ def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_p
 
 @pytest.mark.parametrize(("episodes", "draws"), [(1999, 200), (2000, 199)])
 def test_an_entry_with_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
-    good = json_in(FOLDER / f"{GOOD}.json")
-    poor = json_in(FOLDER / f"{POOR}.json")
+    good = shipped(GOOD)
+    poor = shipped(POOR)
     write_json(tmp_path / "full.json", poor)
     for site in sites():
         count = draws if site.kind == protocol.RECORDED else episodes
@@ -136,7 +140,7 @@ CHANGES = {  # a changed figure, and what it is called
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_an_entry_with_a_changed_figure_is_refused(change, tmp_path):
-    entry = json_in(FOLDER / f"{GOOD}.json")
+    entry = shipped(GOOD)
     change(entry)
     write_json(tmp_path / "changed.json", entry)
     failed = command("leaderboard", "--verify", tmp_path / "changed.json")
@@ -184,7 +188,7 @@ def test_a_changed_entry_is_refused_even_with_a_new_seal(change, message, claime
 
 @pytest.mark.parametrize("missing", ["policy", "command"])
 def test_an_entry_that_lacks_what_verification_needs_is_refused(missing, tmp_path):
-    entry = json_in(FOLDER / f"{GOOD}.json")
+    entry = shipped(GOOD)
     del entry[missing]
     write_json(tmp_path / "short.json", sealed(entry))
     failed = command("leaderboard", "--verify", tmp_path / "short.json")

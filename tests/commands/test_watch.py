@@ -63,8 +63,6 @@ MISTAKES = {  # name -> options, expected message
     "unknown policy": (("--policies", "oracle"), "policy: found 'oracle', expected one of"),
     "too many policies": (("--policies", *["imm"] * 4), "policies: found 4, expected 1 to 3$"),
     "unknown ending": (("--out", "video.avi"), "out: found video.avi, expected.*.gif or .mp4$"),
-    "unknown theme": (("--render-theme", "blue"), "render_theme: found 'blue'.*light, dark"),
-    "tiny": (("--render-size", 100), "render_size: found 100, expected an even number from 480"),
     "no pictures per second": (("--fps", 0), "fps: found 0, expected 1 to 50$"),
     "begin after the end": (("--begin", 9000), "begin, end: found 9000 to inf s, expected.*199 s"),
 }  # fmt: skip

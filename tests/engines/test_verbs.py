@@ -35,9 +35,11 @@ def episodes():
 
 
 def engine_of(episodes, **arguments):
-    """Return an engine in plain Python, which needs no time to compile."""
+    """Return an engine with these episodes in plain Python, which needs no time to compile."""
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
-    return Engine(pipeline, N, TrackingReward(), "signed", BANK, on_floats=True, **arguments)
+    engine = Engine(pipeline, N, TrackingReward(), "signed", BANK, on_floats=True, **arguments)
+    engine.load(episodes)
+    return engine
 
 
 def after(engine):
@@ -48,10 +50,8 @@ def after(engine):
 
 def test_filter_and_decide_are_an_environments_step_in_two_parts(episodes):
     stepped = engine_of(episodes)
-    stepped.load(episodes)
     stepped.step()
     engine = engine_of(episodes, action=CORRECTION)
-    engine.load(episodes)
     rows = engine.program.rows(BELIEF)
     columns = after(engine)
     for actions in ACTIONS:
@@ -65,7 +65,6 @@ def test_filter_and_decide_are_an_environments_step_in_two_parts(episodes):
 
 def test_a_correction_changes_the_reported_belief_and_not_the_filters(episodes):
     engine = engine_of(episodes, action=CORRECTION)
-    engine.load(episodes)
     for actions, numbers in zip(ACTIONS, NUMBERS, strict=True):
         engine.filter()
         _, decided = engine.decide(actions, engine.program.rows(BELIEF), scored=True)
@@ -87,7 +86,6 @@ def test_corrections_in_an_environment_are_those_of_a_track_with_the_same_choice
     environment.load(episodes)
     environment.step()
     track = engine_of(episodes, action=CORRECTION)
-    track.load(episodes)
     rows = track.program.rows(REPORTED)
     for actions, numbers in zip(ACTIONS, NUMBERS, strict=True):
         track.filter()

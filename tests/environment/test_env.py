@@ -18,6 +18,7 @@ from mmwave_env.filters import Mode
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.task import TaskArguments
+from mmwave_env.world.mobility import MOBILITIES
 from tests.environment.vector_checker import assert_own_memory, same
 from tests.filters.tracks import replay, seeded
 from tests.refusals import refuses
@@ -173,7 +174,7 @@ def test_infos_have_the_documented_keys_types_and_shapes():
     env = gym.make(ID, episode_steps=5)
     _, info = env.reset(seed=0)
     assert set(info) == {"episode_name", "episode_key", "nonfinite", "truth", "estimate"}
-    assert info["episode_name"] in ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
+    assert info["episode_name"] in MOBILITIES
     assert info["nonfinite"] == 0
     done = roll(env)
     for *_, info in done[:-1]:
@@ -237,10 +238,17 @@ def test_the_height_is_constant_on_flat_terrain(odometry):
 # --- the end of an episode
 
 
+def alive_and_ended(source):
+    """Return the steps of an episode that goes on after divergence, and of one that ends."""
+    return [
+        roll(gym.make(ID, episodes=source, terminate_on_divergence=ends, **EKF))
+        for ends in (False, True)
+    ]
+
+
 def test_divergence_gives_the_worst_reward_for_every_remaining_epoch():
     source = adrift(drift_mps=4.9)
-    surviving = roll(gym.make(ID, episodes=source, **EKF))
-    ended = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
+    surviving, ended = alive_and_ended(source)
     assert len(surviving) == 200 and len(ended) == 12  # 53.9 m off after 11 s of drift
     assert same(ended[:-1], surviving[:11])
     _, reward, terminated, truncated, info = ended[-1]
@@ -263,8 +271,7 @@ def test_ending_on_divergence_never_gives_a_larger_return_than_continuing(cost, 
 
 def test_divergence_in_the_last_epoch_does_not_change_the_reward():
     source = adrift(drift_mps=4.9, epochs=12)
-    *_, last = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
-    *_, plain = roll(gym.make(ID, episodes=source, **EKF))
+    (*_, plain), (*_, last) = alive_and_ended(source)
     assert last[1] == plain[1] and last[2] and not last[3]
 
 

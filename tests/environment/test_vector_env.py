@@ -79,8 +79,8 @@ CONFIGURATIONS = {
     "ends early": {"episode_steps": 14, "terminate_on_divergence": True} | LOSING,
 }
 CONFIGURATIONS["paired"] = CONFIGURATIONS["ends early"] | {"reward": "paired"}
-QUICK = ("default", "flat", "per mode", "recorded", "paired", "ends early")
-QUICK += ("some rows", "clock", "badly surveyed", "badly surveyed per mode")
+SLOW = {"one step", "own modes", "prior", "clock per mode", "log", "patchy", "twice"}
+QUICK = CONFIGURATIONS.keys() - SLOW
 
 
 def native(n=9, mode="NextStep", **arguments):

@@ -6,12 +6,10 @@ draw another key from the same seed, but a key always gives the same episode.
 """
 
 from functools import partial
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 
-import mmwave_env
 from experiments.timing.roofline import count
 from mmwave_env.datasets.recorded import TrackSource
 from mmwave_env.datasets.samples import read_track
@@ -28,9 +26,9 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene, scene_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.simulated import SimulatedSource
+from tests.paths import LOGS
 
 ID = "mmwave_env:MmWaveLoc-v0"
-LOGS = Path(mmwave_env.__file__).parent / "data" / "logs"
 RADIO = "standard"  # profile of the receiver that measured the logs
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")
 DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # indices of the variances in a packed covariance

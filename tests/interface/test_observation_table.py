@@ -23,6 +23,10 @@ every_pipeline = pytest.mark.parametrize("pipeline", PIPELINES.values(), ids=PIP
 every_kind = pytest.mark.parametrize("kind", OBSERVATIONS)
 
 
+def scales(table):
+    return np.array([(f.mean, f.deviation) for f in table.features]).T
+
+
 @every_kind
 @every_pipeline
 def test_the_table_defines_the_observation_space(pipeline, kind):
@@ -30,7 +34,7 @@ def test_the_table_defines_the_observation_space(pipeline, kind):
     space = table.space
     assert isinstance(space, spaces.Box) and space.dtype == np.float32
     assert space.shape == (len(table),) == (len(set(table.names)),)
-    mean, deviation = np.array([(f.mean, f.deviation) for f in table.features]).T
+    mean, deviation = scales(table)
     limits = np.array([(f.low, f.high) for f in table.features]).T
     bounds = np.clip((limits - mean) / deviation, -10.0, 10.0)
     np.testing.assert_allclose([space.low, space.high], bounds, rtol=1e-6)
@@ -63,7 +67,7 @@ def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
     table = Observation(pipeline, beliefs=beliefs)
     integers = np.arange(-30.0, 31.0)
     values = np.append(np.random.default_rng(0).uniform(-40.0, 40.0, 1000), integers)
-    mean, deviation = np.array([(f.mean, f.deviation) for f in table.features]).T
+    mean, deviation = scales(table)
     observations = ((values[:, None] - mean) / deviation).astype(np.float32)
     for i, feature in enumerate(table.features):
         read = table.read(observations, feature.name)

@@ -93,7 +93,7 @@ def turned(episode, angle, offset):
     )
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(st.floats(-3.0, 3.0), st.lists(st.floats(-300.0, 300.0), min_size=2, max_size=2))
 def test_features_do_not_depend_on_place_or_direction(episodes, angle, offset):
     actions = random_actions()

@@ -11,13 +11,13 @@ from mmwave_env.localization.starts import deviations_of
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import sampled
 from tests.localization.test_diagnosis import doubts
 from tests.logs.by_hand import write_log
 
-KINDS = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
-WORLDS = list(product([RADIOS[name] for name in TUNED_RADIOS], SCENES.values(), KINDS))
+WORLDS = list(product([RADIOS[name] for name in TUNED_RADIOS], SCENES.values(), MOBILITIES))
 SCENE = SCENES["street"]
 RADIO = RADIOS["standard"]
 # figures of a group (an anchor's link or the Doppler shift) that fits the track

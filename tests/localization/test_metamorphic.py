@@ -16,7 +16,7 @@ from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import read_scene, scene_of_anchors
+from mmwave_env.models.scene import read_scene
 from tests.filters.tracks import assert_same_beliefs, packed, unpacked
 from tests.localization.mistakes import AZIMUTHS, FOLDERS, read_columns, write_columns
 
@@ -37,10 +37,6 @@ def street(request):
     first = columns["time_s"] < 15.0
     scene = read_scene(request.param / "scene.json")
     return {name: values[first] for name, values in columns.items()}, scene
-
-
-def with_anchors(scene, anchors_m):
-    return scene_of_anchors(scene.name, anchors_m, scene.carrier_hz, scene.bandwidth_hz)
 
 
 def track(folder, columns, scene, modes):
@@ -91,7 +87,7 @@ def test_a_moved_scene_gives_the_moved_track(street, tmp_path, move, pipeline):
     modes = PIPELINES[pipeline]
     _, turn, shift_m, azimuths = MOVES[move]
     moved_columns = columns | {name: azimuths(columns[name]) for name in AZIMUTHS}
-    place = with_anchors(scene, scene.anchors_m @ turn.T + shift_m)
+    place = scene.with_anchors(scene.anchors_m @ turn.T + shift_m)
     plain = track(tmp_path, columns, scene, modes)
     assert_moved(track(tmp_path, moved_columns, place, modes), plain, turn, shift_m)
 
@@ -104,7 +100,7 @@ def test_the_order_of_virtual_anchors_does_not_matter(street, tmp_path, pipeline
     for order in permutations(range(1, len(scene.anchors_m))):
         numbers = np.array([0, *order])
         anchor = 1.0 + np.argsort(numbers)[columns["anchor"].astype(int) - 1]
-        other = with_anchors(scene, scene.anchors_m[numbers])
+        other = scene.with_anchors(scene.anchors_m[numbers])
         renamed = track(tmp_path, columns | {"anchor": anchor}, other, modes)
         groups = [*numbers, len(numbers)]
         for name in ("nis", "visible", "accepted", "incomplete"):

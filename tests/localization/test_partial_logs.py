@@ -10,14 +10,11 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import read_scene
 from tests.cli import command
 from tests.localization.mistakes import read_columns, write_columns
-from tests.paths import LOGS
+from tests.localization.test_live_epochs import SCENE, WALK
 from tests.refusals import refuses
 
-WALK = LOGS / "canyon28_pedestrian"
-SCENE = read_scene(WALK / "scene.json")
 COLUMNS = read_columns(WALK / "log.csv")
 LINK = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
 
@@ -107,7 +104,6 @@ def test_a_log_that_cannot_give_a_track_is_refused(tmp_path, field, names, other
 
 
 def test_the_nearest_radio_is_the_profile_with_the_noise_of_the_log(tmp_path):
-    assert nearest_radio(read(WALK / "log.csv"), SCENE) == "standard"  # the radio of the log
     coarse = {"range_sigma_m": 0.9, "aoa_azimuth_sigma_deg": 4.0}
     path = written(tmp_path, ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"), **coarse)
     assert nearest_radio(read(path), SCENE) == "handset"

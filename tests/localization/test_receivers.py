@@ -108,8 +108,7 @@ def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, 
     for seed in range(WALKS):
         scene, truth = walk(tmp_path / "log.csv", receiver, seed)
         log = read(tmp_path / "log.csv", scene)
-        switching = Switching((MODE,))
-        track = localize(log, scene, RADIO, switching, window=None, height_m=height_m)
+        track = localize(log, scene, RADIO, Switching((MODE,)), window=None, height_m=height_m)
         begins = EPOCHS - len(track)
         first = track.x[0], unpacked(track.P[0])
         plain = by_textbook(log.part(slice(begins, None)), scene, *first, flat)

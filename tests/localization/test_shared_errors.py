@@ -44,6 +44,10 @@ def errors_of(reading):
     return shared_errors(scanned(reading))
 
 
+def sizes_of(reading):
+    return {error.suspect.name: error.theta[0] for error in errors_of(reading)}
+
+
 def names(errors):
     """Return the names of the first error and of its rivals."""
     return {errors[0].suspect.name, *errors[0].rivals} if errors else set()
@@ -94,16 +98,14 @@ def test_wild_ranges_hide_no_error():
 
 def test_several_errors_are_found_together():
     reading = turned(4.0)(late(15.0)(sample(FOLDERS[0])))
-    sizes = {error.suspect.name: error.theta[0] for error in errors_of(reading)}
-    assert sizes == pytest.approx(
+    assert sizes_of(reading) == pytest.approx(
         {"ranges are too long": 15.0, "azimuths are turned": 4.0}, abs=0.1
     )
 
 
 def test_a_clock_that_drifts_and_is_ahead_is_named_as_both():
     reading = drifting(15.0)(late(15.0)(sample(FOLDERS[1])))
-    sizes = {error.suspect.name: error.theta[0] for error in errors_of(reading)}
-    assert sizes == pytest.approx({"ranges are too long": 15.0, DRIFT: 15.0}, abs=0.3)
+    assert sizes_of(reading) == pytest.approx({"ranges are too long": 15.0, DRIFT: 15.0}, abs=0.3)
 
 
 def test_what_to_write_names_the_values_that_the_scene_needs():

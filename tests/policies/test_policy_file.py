@@ -41,7 +41,7 @@ TENSORS, CARD = KINDS["prior"]
 WHOLE = to_bytes(TENSORS, CARD)
 PER_MODE_TENSORS, PER_MODE_CARD = KINDS["per-mode"]
 
-in_one_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+in_one_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from mmwave_env.numerics.linalg import pack
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n\u202eق"
 T = 50
+ONES = np.ones((T, 3))
 
 
 def draw_track(name, path, position_m, scene=SCENES["street"], learned=()):
@@ -55,7 +56,7 @@ def test_pictures_with_any_name_are_valid_files(name, tmp_path):
 def test_learned_walls_are_drawn_near_the_track(tmp_path, offset_m, is_drawn):
     wall = {"normal": [0.6, 0.8], "offset_m": offset_m}
     image = {"sigma_m": [1.0, 1.0, 1.0], "wall": wall}
-    walk = np.cumsum(np.ones((T, 3)), axis=0)
+    walk = np.cumsum(ONES, axis=0)
     scene = replace(SCENES["street"], walls=())
     for name, learned in (("a", []), ("b", [image, image])):
         draw_track("ekf", tmp_path / f"{name}.svg", walk, scene, learned)
@@ -71,20 +72,20 @@ def test_names_are_shown_unchanged_except_characters_that_cannot_be_printed(tmp_
         "\x1b[31m\n": r"\x1b[31m\n",
         "\udcff": r"\udcff",
     }
-    draw_error_cdf({name: np.ones((T, 3)) for name in names}, tmp_path / "a.svg")
+    draw_error_cdf(dict.fromkeys(names, ONES), tmp_path / "a.svg")
     content = (tmp_path / "a.svg").read_text()
     assert all(f">{shown}</text>" in content for shown in names.values())
 
 
 def test_a_character_that_the_font_lacks_is_kept_with_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="Glyph 28450 .* missing"):
-        draw_error_cdf({"漢": np.ones((T, 3))}, tmp_path / "a.svg")
+        draw_error_cdf({"漢": ONES}, tmp_path / "a.svg")
     assert ">漢</text>" in (tmp_path / "a.svg").read_text("utf-8")
 
 
 def cdf(path):
     """Draw a plain picture; return the content of its file."""
-    draw_error_cdf({"rule": np.ones((T, 3))}, path)
+    draw_error_cdf({"rule": ONES}, path)
     return path.read_bytes()
 
 

@@ -12,9 +12,7 @@ from experiments.training.hyperparameters import RolloutHyperparameters
 from experiments.training.rollouts import RolloutLearner, RolloutTrainer, Tried
 from experiments.training.run import train
 from experiments.training.trainer import Job
-from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
-from mmwave_env.interface.reward import TrackingReward
 from policies import LearnedSwitch
 from policies.sb3 import Normalization
 from tests.training.test_rollout_env import PLACES, task
@@ -30,9 +28,8 @@ HYPER = RolloutHyperparameters(
 UPDATES = 10
 
 
-def job_of(folder, of=None, hyper=HYPER, **changes):
-    timesteps = UPDATES * hyper.states
-    job = Job(of or task(), hyper, 0, timesteps, folder, "mmwave-loc train", 16)
+def job_of(folder, **changes):
+    job = Job(task(), HYPER, 0, UPDATES * HYPER.states, folder, "mmwave-loc train", 16)
     return replace(job, **changes)
 
 
@@ -67,11 +64,8 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 @pytest.mark.slow
 def test_a_short_training_from_scratch_beats_the_speed_rule_and_the_imm(tmp_path):
     """Train a policy with the speed rule's modes; at first, the policy acts like their IMM."""
-    modes = Bank(default_modes("handset"))
-    street = TrainingTask(
-        "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"
-    )
-    job = job_of(tmp_path, street, QUICK, timesteps=60_000, episodes=500)
+    street = task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))})
+    job = job_of(tmp_path, task=street, hyperparameters=QUICK, timesteps=60_000, episodes=500)
     best = train(job, silent)["best"]
     for rival in ("speed-rule", "imm"):
         low, high = best[f"minus {rival}"]["ci95"]

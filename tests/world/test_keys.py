@@ -1,5 +1,7 @@
 """Tests of keys (64-bit seeds of episodes) and of streams (sequences of keys)."""
 
+from functools import partial
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from tests.environment.vector_checker import same
 from tests.refusals import refuses
 
 SHORT = {"episode_steps": 2, "modes": ["ekf"]}
+make = partial(gym.make, "MmWaveLoc-v0", **SHORT)
 
 
 def numbers(*values):
@@ -45,7 +48,7 @@ def test_a_stream_without_a_seed_begins_at_random():
 
 def test_a_seed_gives_the_same_keys_everywhere():
     """Compare a single environment, our vector environment, and evaluation."""
-    single = gym.make("MmWaveLoc-v0", **SHORT)
+    single = make()
     native = gym.make_vec("MmWaveLoc-v0", num_envs=2, autoreset_mode="Disabled", **SHORT)
     expected = keys_at(stream_of(8), np.arange(3, dtype=np.uint64)).tolist()
     for seed in (8, None, None):
@@ -59,7 +62,7 @@ def test_a_seed_gives_the_same_keys_everywhere():
 
 
 def test_a_custom_random_generator_begins_a_stream():
-    env = gym.make("MmWaveLoc-v0", **SHORT).unwrapped
+    env = make().unwrapped
     keys = []
     for _ in range(2):
         env.np_random = np.random.default_rng(3)
@@ -75,7 +78,7 @@ def test_a_key_that_is_not_an_integer_of_64_bits_is_refused(key):
 
 
 def test_a_key_plays_its_episode_again_and_does_not_advance_the_stream():
-    env = gym.make("MmWaveLoc-v0", **SHORT)
+    env = make()
     observation, info = env.reset(seed=3)
     for key in (info["episode_key"], int(info["episode_key"])):
         again, same_info = env.reset(options={"episode_key": key})
@@ -95,8 +98,8 @@ def test_a_key_plays_its_episode_again_and_does_not_advance_the_stream():
 
 def test_a_key_together_with_a_seed_or_a_recording_is_refused():
     with refuses("episode_key", "seed"):
-        gym.make("MmWaveLoc-v0", **SHORT).reset(seed=3, options={"episode_key": 1})
-    env = gym.make("MmWaveLoc-v0", episodes="canyon28_vehicle", **SHORT)
+        make().reset(seed=3, options={"episode_key": 1})
+    env = make(episodes="canyon28_vehicle")
     with refuses("episode_key"):
         env.reset(options={"episode_key": 1})
     assert "episode_key" not in env.reset(seed=0)[1]

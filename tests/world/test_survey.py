@@ -24,10 +24,10 @@ NONE = dict.fromkeys(["rotation_rad", "tilt_rad", "range_m", "anchors_m", "heigh
 KEYS = keys_of(range(400))
 
 
-def pair(**sizes):
+def pair(scenario="mixed", **sizes):
     """Return episodes of the same keys with an exact survey, and with these certain errors."""
     survey = RandomSurvey(**(NONE | {"rate": 1.0} | sizes))
-    arguments = {"radio": "standard", "epochs": 40}
+    arguments = {"scenario": scenario, "radio": "standard", "epochs": 40}
     return [street_source(**arguments, survey=choice).episodes(KEYS) for choice in (None, survey)]
 
 
@@ -115,11 +115,7 @@ def test_observations_depend_on_the_map_and_the_measurements_but_not_on_the_trut
 
 
 def test_users_on_given_ways_have_survey_errors_too():
-    survey = RandomSurvey(**(NONE | {"rate": 1.0, "range_m": 2.0}))
-    sources = [
-        street_source(scenario=around_a_block(), epochs=30, survey=s) for s in (None, survey)
-    ]
-    right, wrong = (source.episode(int(KEYS[0])) for source in sources)
+    right, wrong = (episodes[0] for episodes in pair(around_a_block(), range_m=2.0))
     common = np.nanmedian(changes(right, wrong)[..., 0])
     assert abs(common) > 0.01
     assert_array_equal(right.truth_position_m, wrong.truth_position_m)
