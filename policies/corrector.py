@@ -127,10 +127,13 @@ class Corrector(LearnedPolicy, CompiledPolicy):
     def correct(self, observation: Array32) -> Correction:
         """Return corrections of the beliefs after the latest epoch; update the network's memory.
 
-        Call this once after every step, with the observations (n, features) of the step.
+        Call this once after every step, with the observations (n, features) of the step. If their
+        number is not that of the last call, new tracks begin.
         """
         observations = self._checked(observation)
         n = len(observations)
+        if n != len(self.memory[1]):
+            self._forget(n)
         answers = np.empty((n, CORRECTIONS), np.float32)
         trusted = np.empty(n, np.float32)
         self._run(

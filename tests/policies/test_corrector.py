@@ -170,6 +170,15 @@ def test_compiled_play_equals_the_verbs_called_epoch_by_epoch():
         assert_array_equal(values, played[1][name])
 
 
+def test_a_corrector_that_was_not_reset_begins_new_tracks(path):
+    observations = np.ones((3, FEATURES), np.float32)
+    first = [Corrector(path).correct(observations).shift for _ in range(2)]
+    assert_array_equal(*first)
+    several = started(path)
+    several.correct(observations[:1])
+    assert_array_equal(several.correct(observations).shift, first[0])
+
+
 def test_a_pickled_corrector_goes_on_whatever_the_layout_of_observations(path):
     first, second, third = features(3)
     plain = started(path)
