@@ -61,7 +61,7 @@ def folded_layers(layers: Iterable[Any], normal: Normalization) -> list[tuple[Ar
     """Return weight and bias of each linear layer; the first includes the normalization."""
     linear = [layer for layer in layers if type(layer).__name__ == "Linear"]
     folded = [
-        (layer.weight.detach().double().numpy(), layer.bias.detach().double().numpy())
+        tuple(part.detach().cpu().double().numpy() for part in (layer.weight, layer.bias))
         for layer in linear
     ]
     folded[0] = normal.folded(*folded[0])
