@@ -24,6 +24,7 @@ import numpy as np
 from experiments.console.options import USUAL_EPISODES, ModeArgs, TaskArgs
 from experiments.console.output import grid, note, say, show, tracked
 from experiments.console.signals import heed_signals
+from experiments.evaluation.agents import is_agent, module_file
 from experiments.evaluation.contenders import contender_of, seeds_from, task_of
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scoring, score_contenders
@@ -32,7 +33,7 @@ from experiments.training.hyperparameters import (
     read_hyperparameters,
     shipped_hyperparameters,
 )
-from experiments.training.training_task import training_task
+from experiments.training.training_task import training_task, with_beliefs
 from mmwave_env import __version__
 from mmwave_env.io.files import atomic_path, first_line, read_text, write_bytes
 from mmwave_env.io.lookup import choose, quoted, require_extra
@@ -119,10 +120,18 @@ def _spec(content: Mapping[str, Any]) -> Spec:
 
 
 def _name(kind: str, cell: Values) -> str:
-    """Return a hash of our version, a cell's values, and the contents of files that they name."""
-    words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in cell.values()))
-    paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
-    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+    """Return a hash of our version, a cell's values, and the contents of files that they name.
+
+    Values may name files, folders, modules of agents, and places with files.
+    """
+    values = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in cell.values()))
+    words = [value for value in values if isinstance(value, str)]
+    paths = [Path(part) for word in words for part in (word, *word.split(":")) if part]
+    policy = cell.get("policy", "")
+    if is_agent(policy):
+        paths.append(module_file(policy))
+    paths += [inner for path in paths if path.is_dir() for inner in sorted(path.rglob("*"))]
+    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]
     work = json.dumps([__version__, kind, sorted(cell.items()), files], default=repr)
     return hashlib.sha256(work.encode()).hexdigest()[:16]
 
@@ -132,7 +141,11 @@ def _axes(kind: type[Any], table: Values, others: Values, where: str) -> Axes:
     axes: Axes = {}
     for key, content in table.items():
         several = isinstance(content, list)
-        if several and key in ("modes", "places"):  # each of their values is itself a list
+        if several and key in (
+            "modes",
+            "places",
+            "measurements",
+        ):  # each of their values is itself a list
             several = all(isinstance(value, list) for value in content)
         listed = content if several else [content]
         values = [tuple(value) if isinstance(value, list) else value for value in listed]
@@ -243,7 +256,7 @@ def trained(values: Values) -> Row:
             changed[axis.removeprefix(HYPERPARAMETER)] = value
         else:
             options[axis] = value
-    args = Training(**options)
+    args = with_beliefs(Training(**options))
     with tempfile.TemporaryDirectory() as folder:
         job = Job(
             training_task(args),

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -21,7 +21,7 @@ from experiments.training.hyperparameters import Hyperparameters, hyperparameter
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
 from experiments.training.trainer import Job, Tell, Trainer, run_training
-from experiments.training.training_task import training_task
+from experiments.training.training_task import training_task, with_beliefs
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.io.files import Json, read_json, write_bytes, write_json
 
@@ -170,8 +170,7 @@ def _train(job: Job, line: Connection) -> None:
 def run(args: TrainArgs) -> None:
     """Run the command."""
     require_at_least(1, args, "seeds", "total_timesteps", "jobs")
-    if args.algo in ("corrector", "two-way"):
-        args = replace(args, beliefs="per-mode")
+    args = with_beliefs(args)
     task = training_task(args)
     hyper = hyperparameters(args, len(task.places), args.hyperparameters)
     manifest = manifest_of(args, task.banks, hyper)

@@ -43,14 +43,29 @@ def test_names_of_cells_do_not_depend_on_order(tmp_path):
     assert spec.cells.keys() == spec_of(tmp_path, text).cells.keys()
 
 
-def test_cells_have_new_names_if_a_mode_file_changes(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("own.json", POLICY + 'modes = ["ekf", "own.json"]\n'),
+        ("mine.py", '[evaluate]\npolicy = "mine:agent"\n'),
+        ("run/policy.safetensors", '[evaluate]\npolicy = "run"\n'),
+        ("own.json", '[train]\ntotal_timesteps = 1\nplaces = [["own.json:handset"]]\n'),
+    ],
+)
+def test_cells_have_new_names_if_a_file_changes(tmp_path, monkeypatch, file, text):
     monkeypatch.chdir(tmp_path)
-    text = POLICY + 'modes = ["ekf", "own.json"]\n'
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "run").mkdir()
     names = set()
     for content in ("", "1", "2"):
-        (tmp_path / "own.json").write_text(content)
+        (tmp_path / file).write_text(content)
         names |= spec_of(tmp_path, text).cells.keys()
     assert len(names) == 3
+
+
+def test_a_list_of_measurements_is_one_value(tmp_path):
+    spec = spec_of(tmp_path, POLICY + 'measurements = ["range", "azimuth"]\n')
+    assert [cell["measurements"] for cell in spec.cells.values()] == [("range", "azimuth")]
 
 
 def test_too_many_cells_are_refused_before_they_are_made(tmp_path):
