@@ -19,10 +19,6 @@ def main(args: Args) -> None:
     for option, path in pictures.items():
         if path:
             require_picture(option, path)
-    if args.errors and args.errors == args.consistency:
-        raise ValueError(
-            f"consistency: found {args.consistency}, expected a file other than the --errors file"
-        )
     _, text, content, epochs = results(args)
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | content)

@@ -1,7 +1,5 @@
 """mmwave-loc tune: modes, a complete bank, or protection levels."""
 
-from pathlib import Path
-
 from experiments.console.options import TUNING_SEED, require_alone
 from experiments.console.options import TuneArgs as Args
 
@@ -17,8 +15,6 @@ def main(args: Args) -> None:
         raise ValueError(f"seed: found {args.seed}, expected a tuning seed >= {TUNING_SEED}")
     if args.out:
         require_writable(args.out)
-        if args.out.resolve() == Path(args.radio).resolve():
-            raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
     require_alone(args, "bank", *OF_MODES)
     require_alone(args, "levels", "bank", "radio", "episodes", "evaluations", *OF_MODES)
     command = provenance("tune", args)["command"]

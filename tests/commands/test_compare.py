@@ -49,8 +49,11 @@ MISTAKES = {  # name -> file to remove from the run, more policies or options, e
     "the run twice": (None, ("RUN/",), "policies: found .*expected different names"),
     "no such run": (None, ("runs/never",), "policy: found 'runs/never', expected.*imm.*of a run"),
     "not a picture": (None, ("--errors", "f.gif"), "found f.gif.*ends with .png, .svg, .pdf"),
+    "results over the radio": (
+        None, ("--radio", "r.json", "--json", "r.json"), "json: .*r.json.* than for radio",
+    ),
     "one file for two pictures": (
-        None, ("--errors", "f.png", "--consistency", "f.png"), "consistency: .*f.png.*other than",
+        None, ("--errors", "f.png", "--consistency", "f.png"), "errors: .*f.png.* than for consist",
     ),
 }  # fmt: skip
 
