@@ -74,6 +74,7 @@ class Comparison:
             "radio": self.radio,
             "episodes": len(self.seeds),
             "seed": self.seeds[0],
+            "reward": self.reward,
             "policies": _each(self.policies, lambda interval: interval.json),
             "paired": _each(self.paired, lambda interval: interval.json),
         }
@@ -94,6 +95,7 @@ class Comparison:
             seeds,
             policies,
             _each(content["paired"], Interval.of),
+            content.get("reward", "tracking"),
         )
 
     @property

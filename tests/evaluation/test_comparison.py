@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.evaluation.compare import compare_scores
+from experiments.evaluation.compare import Comparison, compare_scores
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.positions import HEADER, percent, positions_markdown
 from mmwave_env.localization.position_errors import PositionErrors
@@ -34,6 +34,14 @@ def test_contenders_are_paired_with_references_but_users_agents_are_paired_with_
     own = [("yours", "mine"), ("mine", "yours")]
     own += [(a, b) for b in ("guided", "fixed-ekf") for a in ("mine", "yours")]
     assert list(comparison.paired) == [f"{a} - {b}" for a, b in references + own]
+
+
+def test_a_stored_comparison_keeps_the_kind_of_its_reward():
+    table = scores(mine=[0, 1], imm_best=[2, 2])
+    comparison = compare_scores(table, ["mine"], reward="log-score", **SETTING)
+    stored = Comparison.from_json(comparison.json)
+    assert stored.reward == "log-score"
+    assert "reward log-score" in str(stored)
 
 
 def test_without_a_reference_all_contenders_are_compared_with_each_other():

@@ -129,8 +129,9 @@ def read_part(path: Path) -> Part:
 
 
 WORDS = (
-    "Means ± half the widths of their 95 % intervals, best reward first. reward: per epoch, minus "
-    "the position error in m, and minus a penalty if the filter misjudges its error. ATE: mean "
+    "Means ± half the widths of their 95 % intervals, best reward first. reward (unless the title "
+    "names another): per epoch, minus the position error in m, and minus a penalty if the filter "
+    "misjudges its error. ATE: mean "
     "position error. RMSE: root of the mean square error. RPE: change of the error within a "
     "second. NEES: squared error relative to the filter's own covariance; 3 is right (2 on flat "
     "ground), more is too confident. diverged: share of episodes whose error exceeds 50 m at some "
