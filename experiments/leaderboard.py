@@ -12,7 +12,7 @@ def main(args: Args) -> None:
     from experiments.console.output import note, say, show
     from experiments.console.provenance import provenance
     from experiments.evaluation import protocol
-    from experiments.evaluation.contenders import contender_from
+    from experiments.evaluation.contenders import contender_from, fingerprint
     from mmwave_env.io.files import write_json
 
     if args.verify:
@@ -30,7 +30,11 @@ def main(args: Args) -> None:
         for name in args.policies
     }
     if args.keep:
-        groups = [(name,) for name, file in files.items() if not file.exists()]
+        groups = [
+            (name,)
+            for name, file in files.items()
+            if not file.exists() or protocol.read_entry(file)["policy"] != fingerprint(name)
+        ]
     for names in groups:
         judged = {}
         for site in protocol.sites():

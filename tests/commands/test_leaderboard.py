@@ -44,8 +44,12 @@ def test_entries_are_ranked(entries):
 
 
 @pytest.mark.slow
-def test_the_option_keep_skips_policies_that_already_have_a_file(entries, tmp_path, monkeypatch):
+def test_the_option_keep_skips_policies_that_have_an_entry_and_did_not_change(
+    entries, tmp_path, monkeypatch
+):
     shutil.copy(entries / "imm-best.json", tmp_path)
+    changed = {"policy": "of another file"}
+    write_json(tmp_path / "guided.json", sealed(json_in(tmp_path / "imm-best.json") | changed))
     judged = set()
 
     def judging(names, *rest):
@@ -53,8 +57,9 @@ def test_the_option_keep_skips_policies_that_already_have_a_file(entries, tmp_pa
         return judge(names, *rest)
 
     monkeypatch.setattr(protocol, "judge", judging)
-    main(Args(policies=("imm-best", "speed-rule"), episodes=2, draws=2, keep=True, out=tmp_path))
-    assert judged == {"speed-rule"}
+    policies = ("imm-best", "speed-rule", "guided")
+    main(Args(policies=policies, episodes=2, draws=2, keep=True, out=tmp_path))
+    assert judged == {"speed-rule", "guided"}
 
 
 def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
