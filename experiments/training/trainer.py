@@ -233,7 +233,7 @@ def judge(
     """Evaluate and log the latest policy; keep it if it is the best so far; return its reward."""
     file = PolicyFile(trainer.tensors(), card_of(job, trainer, progress.timesteps), job.policy)
     results = examine(file)
-    if progress.best is None or results["reward"] > progress.best["reward"]:
+    if progress.best is None or not results["reward"] <= progress.best["reward"]:
         progress.best = {"timesteps": progress.timesteps, **results}
         card = replace(file.card, evaluation=progress.best)
         write_bytes(job.policy, to_bytes(file.tensors, card))
