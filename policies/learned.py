@@ -38,6 +38,7 @@ class LearnedPolicy:
         modes: modes that the environment must have; if every mode has its own belief, these are
             the modes of the first bank in the file.
         beliefs: beliefs that the environment must have, "shared" or "per-mode".
+        observation: kind of observation that the environment must have.
         sight: how the network reads observations.
 
     Raises:
@@ -49,6 +50,7 @@ class LearnedPolicy:
         self._file = policy_file(path)
         self.card = self._file.card
         self.modes = self.card.modes
+        self.observation = self.card.observation
         self.beliefs = self.card.beliefs
         tensors = self._file.tensors
         self._width = len(self.card.features)  # number of columns in the observations

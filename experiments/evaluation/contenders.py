@@ -36,7 +36,8 @@ from mmwave_env.filters.bank import (
 )
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.actions import MODE
-from mmwave_env.interface.policy import FixedMode, Switching, policy_from
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import FixedMode, Policy, Switching, policy_from
 from mmwave_env.io.files import AnyPath, Json, read_json
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
@@ -45,6 +46,7 @@ from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from policies import LikelihoodRule, SpeedRule, load, shipped_policies
+from policies.learned import LearnedPolicy
 from policies.policy_file import PolicyFile
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
@@ -170,10 +172,15 @@ class Contender(Switching):
                 f"policy {name}: found actions of the kind {policy.action}, which need "
                 'beliefs="per-mode"'
             )
-        estimates = isinstance(policy, Estimator)
+
+        def start(table: Observation) -> Policy:
+            if isinstance(agent, LearnedPolicy):
+                agent.read_from(table)
+            return policy if isinstance(policy, Estimator) else Checked(name, policy, table)
+
         return cls(
             bank or chosen,
-            policy=(lambda table: policy) if estimates else partial(Checked, name, policy),
+            policy=start,
             observation=getattr(agent, "observation", observation),
             name=name,
         )

@@ -13,7 +13,7 @@ from experiments.evaluation.runner import run_contender
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
 from mmwave_env.task import task_from
-from policies import Correction, LearnedSwitch
+from policies import Correction, Corrector, LearnedSwitch
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import write_json
 from tests.refusals import refuses
@@ -149,6 +149,14 @@ def test_an_agent_that_returns_weights_earns_what_it_earns_in_the_environment(mo
     monkeypatch.setattr(Weighing, "beliefs", "shared")
     with refuses("mine"):
         compare({"mine": Weighing()}, episodes=1)
+
+
+@pytest.mark.parametrize(("kind", "name"), [(Corrector, "corrector"), (LearnedSwitch, "guided")])
+def test_an_object_of_a_learned_policy_earns_what_its_file_earns(kind, name):
+    episodes = draw_episodes(task_from(episode_steps=20).source, [3])
+    contenders = Contender.own("mine", kind(name), "handset"), contender_from(name, "handset")
+    mine, shipped = (run_contender(each, episodes)["reward"] for each in contenders)
+    np.testing.assert_array_equal(mine, shipped)
 
 
 MISTAKES = {  # name of an agent -> expected message
