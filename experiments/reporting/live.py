@@ -4,17 +4,13 @@ import gc
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import chain, tee
 from typing import Any
 
 import numpy as np
 
-from experiments.console.options import (
-    AUTO,
-    LogArgs,
-    require_alone,
-    require_default,
-)
+from experiments.console.options import AUTO, LogArgs, require_alone, require_default
 from experiments.console.output import note
 from experiments.reporting.log_choice import choice_of, radio_of, scene_of
 from experiments.reporting.log_results import check_options, inputs, warn_of_few_explained
@@ -33,7 +29,7 @@ from mmwave_env.localization.map_learning import (
     require_same_images,
     trusted,
 )
-from mmwave_env.localization.readings import values_of
+from mmwave_env.localization.track_scores import group_statistics
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log_tables import LogError, header_of
@@ -64,7 +60,6 @@ def run_live(args: LogArgs) -> None:
         "write", "window", "smoothing",
     )  # fmt: skip
     require_alone(args, "live", *of_files)
-    require_alone(args, "format")
     check_options(args, inputs(args))
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
@@ -214,19 +209,14 @@ class _FirstEpochs:
         """Return what in the epochs contradicts the positions, the scene or the radio."""
         epochs, positions = zip(*self._placed, strict=True)
         log = log_from(epochs)
-        dof = np.add.reduceat(values_of(log), log.layout.starts, axis=1, dtype=np.int64)
-        groups = {}
-        for name, values in zip(log.layout.group_names, dof.T, strict=True):
-            rejected = np.array([name in position.rejected for position in positions])
-            nis = np.array([position.nis.get(name, np.nan) for position in positions])
-            measured = np.isfinite(nis)
-            accepted = measured & ~rejected
+        names = log.layout.group_names
+        nis = np.array([[p.nis.get(name, np.nan) for name in names] for p in positions])
+        rejected = np.array([[name in p.rejected for name in names] for p in positions])
+        filtered = replace(log, visible=np.isfinite(nis))
+        groups = group_statistics(filtered, filtered.visible & ~rejected, np.nan_to_num(nis))
+        for group in groups.values():
             # the first epoch chose the radio, perhaps one with more noise; that does no harm
-            groups[name] = {
-                "seen": measured.sum(),
-                "rejected_share": rejected.sum() / max(measured.sum(), 1),
-                "nis_per_dof": max(nis[accepted].sum() / max(values[accepted].sum(), 1), 1.0),
-            }
+            group["nis_per_dof"] = max(group["nis_per_dof"] or 1.0, 1.0)
         return contradictions(log, scene, radio, groups)
 
 

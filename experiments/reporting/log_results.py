@@ -360,7 +360,7 @@ def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) ->
 
 def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     """Return statistics of a track's measurements, and what contradicts the scene or the radio."""
-    groups = group_statistics(track)
+    groups = group_statistics(track, track.accepted, track.nis)
     return groups, contradictions(work.log, work.scene, work.radio, groups)
 
 

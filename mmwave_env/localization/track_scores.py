@@ -11,10 +11,11 @@ from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.files import Json
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import PositionErrors
+from mmwave_env.logs.log import Log
 from mmwave_env.logs.truth import Truth
 from mmwave_env.metrics import RISK, nees_interval, running_summary, sums_of
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Index, Mask
 
 FAR_NEES = 100.0  # a larger mean NEES means that the track is far from the true positions
 _ENOUGH = 100  # number of epochs that are used to estimate the time step
@@ -103,21 +104,26 @@ def _pairs(time_s: Array, segment: Index, first_s: Array) -> tuple[Index, float 
     return np.column_stack([first, second])[paired], apart_s
 
 
-def group_statistics(track: Track) -> dict[str, dict[str, float | None]]:
-    """Return counts, rejections and innovations of each group of measurements, and of "all"."""
-    layout = track.layout
-    accepted = track.accepted
-    visible = track.visible
-    measured = np.isfinite(track.measurement)
+def group_statistics(log: Log, accepted: Mask, nis: Array) -> dict[str, dict[str, float | None]]:
+    """Return counts, rejections and innovations of each group of measurements, and of "all".
+
+    Args:
+        log: T epochs, in which the groups that a filter used are visible.
+        accepted: (T, groups) whether the filter's gate accepted the group.
+        nis: (T, groups) the filter's NIS; 0 where not visible.
+    """
+    layout = log.layout
+    visible = log.visible
+    measured = np.isfinite(log.measurement)
     rows = np.add.reduceat(measured, layout.starts, axis=1, dtype=np.int64)
     low, high = np.array([nees_interval(max(n, 1)) for n in range(5)]).T[:, rows]
-    inside = accepted & (track.nis >= low) & (track.nis <= high)
+    inside = accepted & (nis >= low) & (nis <= high)
     counted = (
         visible,
         visible & ~accepted,
-        track.incomplete,
+        log.incomplete,
         accepted * rows,
-        accepted * track.nis,
+        accepted * nis,
         inside,
     )
     sums = np.array([part.sum(axis=0) for part in counted], float)

@@ -46,7 +46,8 @@ def scene_in(folder):
 def doubts(log, scene, radio=RADIO):
     """Localize a log; return the warnings about contradictions in it."""
     switching = Switching(default_modes(radio.name), by_predicted_speed)
-    groups = group_statistics(localize(log, scene, radio, switching, window=None))
+    track = localize(log, scene, radio, switching, window=None)
+    groups = group_statistics(track, track.accepted, track.nis)
     return [str(doubt) for doubt in contradictions(log, scene, radio, groups)]
 
 

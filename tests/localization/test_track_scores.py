@@ -123,7 +123,7 @@ def test_statistics_of_groups_equal_those_computed_by_hand():
     nis = visible * [4.0, 8.0, 0.0, 9.0]
     track = some_track(4)
     track = replace(track, visible=visible, incomplete=~visible, accepted=accepted, nis=nis)
-    figures = group_statistics(track)
+    figures = group_statistics(track, track.accepted, track.nis)
     assert figures == {name: dict(zip(KEYS, row, strict=True)) for name, row in GROUPS.items()}
 
 
