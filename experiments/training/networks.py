@@ -24,35 +24,24 @@ def _advance(incoming, weight, bias, states, gates, own):  # type: ignore[no-unt
     """Fill the states of n tracks, epoch after epoch, and what their gradient needs.
 
     Args:
-        incoming: (T, n, 3 units) products with the input: reset gates, update gates, candidates.
-        weight, bias: (units, 3 units) and (3 units,) of the product with the state.
+        incoming: (3, T, n, units) products with the input: reset gates, update gates, candidates.
+        weight, bias: (3, units, units) and (3, units) of the products with the state.
         states: (T + 1, n, units) filled from the second on; the first is the state at the start.
-        gates: (T, n, 3 units) filled with both gates and with the candidates.
+        gates: (3, T, n, units) filled with both gates and with the candidates.
         own: (T, n, units) filled with the states' part of the candidates, before the reset gate.
     """
-    epochs, n, units = own.shape
     half = np.float32(0.5)
-    past = np.empty((n, 3 * units), np.float32)
-    for t in range(epochs):
-        np.dot(states[t], weight, past)
-        for i in range(n):
-            gate = gates[t, i]
-            for j in range(3 * units):
-                past[i, j] += bias[j]
-            for j in range(2 * units):
-                gate[j] = half * (incoming[t, i, j] + past[i, j])
-            squash(gate[: 2 * units])  # the logistic function of 2 z is (1 + tanh z) / 2
-            for j in range(2 * units):
-                gate[j] = half + half * gate[j]
-            for j in range(units):
-                k = 2 * units + j
-                own[t, i, j] = past[i, k]
-                gate[k] = incoming[t, i, k] + gate[j] * past[i, k]
-            squash(gate[2 * units :])
-            for j in range(units):
-                candidate = gate[2 * units + j]
-                kept = (states[t, i, j] - candidate) * gate[units + j]
-                states[t + 1, i, j] = candidate + kept
+    for t in range(len(own)):
+        for k in range(2):
+            gate = gates[k, t]
+            gate[:] = half * (incoming[k, t] + np.dot(states[t], weight[k]) + bias[k])
+            squash(gate.ravel())  # the logistic function of 2 z is (1 + tanh z) / 2
+            gate[:] = half + half * gate
+        own[t] = np.dot(states[t], weight[2]) + bias[2]
+        candidate = gates[2, t]
+        candidate[:] = incoming[2, t] + gates[0, t] * own[t]
+        squash(candidate.ravel())
+        states[t + 1] = candidate + (states[t] - candidate) * gates[1, t]
 
 
 @compiled
@@ -62,33 +51,27 @@ def _retreat(slope, weight, states, gates, own, of_incoming, of_past):  # type: 
     Args:
         slope: (T, n, units) gradient of the loss with respect to the states after each epoch, as
             far as no later epoch is concerned.
-        weight: (3 units, units) of the product with the state.
+        weight: (3, units, units) of the products with the state, transposed.
         states, gates, own: as in :func:`_advance`.
-        of_incoming, of_past: (T, n, 3 units) filled with the gradients of the products with the
+        of_incoming, of_past: (3, T, n, units) filled with the gradients of the products with the
             input and with the state.
     """
-    epochs, n, units = own.shape
     full = np.float32(1.0)
-    later = np.zeros((n, units), np.float32)  # gradient through the product of the next epoch
-    kept = np.zeros((n, units), np.float32)  # and through the share that its state keeps
-    for t in range(epochs - 1, -1, -1):
-        for i in range(n):
-            for j in range(units):
-                whole = slope[t, i, j] + later[i, j] + kept[i, j]
-                reset = gates[t, i, j]
-                update = gates[t, i, units + j]
-                candidate = gates[t, i, 2 * units + j]
-                of_candidate = whole * (full - update) * (full - candidate * candidate)
-                of_reset = of_candidate * own[t, i, j] * reset * (full - reset)
-                of_update = whole * (states[t, i, j] - candidate) * update * (full - update)
-                of_incoming[t, i, j] = of_reset
-                of_incoming[t, i, units + j] = of_update
-                of_incoming[t, i, 2 * units + j] = of_candidate
-                of_past[t, i, j] = of_reset
-                of_past[t, i, units + j] = of_update
-                of_past[t, i, 2 * units + j] = of_candidate * reset
-                kept[i, j] = whole * update
-        np.dot(of_past[t], weight, later)
+    later = np.zeros_like(own[0])  # gradient through the next epoch
+    for t in range(len(own) - 1, -1, -1):
+        reset = gates[0, t]
+        update = gates[1, t]
+        candidate = gates[2, t]
+        whole = slope[t] + later
+        of_candidate = whole * (full - update) * (full - candidate * candidate)
+        of_incoming[0, t] = of_candidate * own[t] * reset * (full - reset)
+        of_incoming[1, t] = whole * (states[t] - candidate) * update * (full - update)
+        of_incoming[2, t] = of_candidate
+        of_past[:2, t] = of_incoming[:2, t]
+        of_past[2, t] = of_candidate * reset
+        later = whole * update
+        for k in range(3):
+            later += np.dot(of_past[k, t], weight[k])
 
 
 class _Recurrence(torch.autograd.Function):
@@ -97,11 +80,11 @@ class _Recurrence(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, incoming: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
         """Return the states (T, n, units) after each epoch; the state at the start is zero."""
-        epochs, n, wide = incoming.shape
-        states = incoming.new_zeros(epochs + 1, n, wide // 3)
+        _, epochs, n, units = incoming.shape
+        states = incoming.new_zeros(epochs + 1, n, units)
         gates = torch.empty_like(incoming)
         own = torch.empty_like(states[1:])
-        inputs = (part.detach() for part in (incoming, weight.t().contiguous(), bias))
+        inputs = (part.detach() for part in (incoming, weight.mT.contiguous(), bias))
         _advance(*(part.numpy() for part in (*inputs, states, gates, own)))
         ctx.save_for_backward(weight, states, gates, own)
         return states[1:]
@@ -114,8 +97,8 @@ class _Recurrence(torch.autograd.Function):
         of_past = torch.empty_like(gates)
         inputs = (slope.contiguous(), weight.detach(), states, gates, own)
         _retreat(*(part.numpy() for part in (*inputs, of_incoming, of_past)))
-        flat = of_past.flatten(0, 1)
-        return of_incoming, flat.t() @ states[:-1].flatten(0, 1), flat.sum(0)
+        flat = of_past.flatten(1, 2)
+        return of_incoming, flat.mT @ states[:-1].flatten(0, 1), flat.sum(1)
 
 
 class RecurrentUnit(nn.GRU):
@@ -134,8 +117,11 @@ def _states(
     x: Tensor, of_input: Tensor, of_state: Tensor, input_bias: Tensor, state_bias: Tensor
 ) -> Tensor:
     """Return the states (T, n, units) of a unit with these weights and biases."""
-    incoming = nn.functional.linear(x, of_input, input_bias)
-    return _Recurrence.apply(incoming, of_state, state_bias)  # type: ignore[no-untyped-call,no-any-return]
+    parts = zip(of_input.chunk(3), input_bias.chunk(3), strict=True)  # two gates, then candidates
+    incoming = torch.stack([nn.functional.linear(x, *part) for part in parts])
+    weight = of_state.unflatten(0, (3, -1))
+    bias = state_bias.unflatten(0, (3, -1))
+    return _Recurrence.apply(incoming, weight, bias)  # type: ignore[no-untyped-call,no-any-return]
 
 
 class CorrectorNetwork(nn.Module):
