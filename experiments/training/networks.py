@@ -84,8 +84,8 @@ class _Recurrence(torch.autograd.Function):
         states = incoming.new_zeros(epochs + 1, n, units)
         gates = torch.empty_like(incoming)
         own = torch.empty_like(states[1:])
-        inputs = (part.detach() for part in (incoming, weight.mT.contiguous(), bias))
-        _advance(*(part.numpy() for part in (*inputs, states, gates, own)))
+        arrays = (incoming, weight.mT.contiguous(), bias, states, gates, own)
+        _advance(*(part.detach().numpy() for part in arrays))
         ctx.save_for_backward(weight, states, gates, own)
         return states[1:]
 
@@ -95,8 +95,8 @@ class _Recurrence(torch.autograd.Function):
         weight, states, gates, own = ctx.saved_tensors
         of_incoming = torch.empty_like(gates)
         of_past = torch.empty_like(gates)
-        inputs = (slope.contiguous(), weight.detach(), states, gates, own)
-        _retreat(*(part.numpy() for part in (*inputs, of_incoming, of_past)))
+        arrays = (slope.contiguous(), weight, states, gates, own, of_incoming, of_past)
+        _retreat(*(part.detach().numpy() for part in arrays))
         flat = of_past.flatten(1, 2)
         return of_incoming, flat.mT @ states[:-1].flatten(0, 1), flat.sum(1)
 
@@ -119,8 +119,8 @@ def _states(
     """Return the states (T, n, units) of a unit with these weights and biases."""
     parts = zip(of_input.chunk(3), input_bias.chunk(3), strict=True)  # two gates, then candidates
     incoming = torch.stack([nn.functional.linear(x, *part) for part in parts])
-    weight = of_state.unflatten(0, (3, -1))
-    bias = state_bias.unflatten(0, (3, -1))
+    weight = torch.stack(of_state.chunk(3))
+    bias = torch.stack(state_bias.chunk(3))
     return _Recurrence.apply(incoming, weight, bias)  # type: ignore[no-untyped-call,no-any-return]
 
 
