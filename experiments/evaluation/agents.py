@@ -1,14 +1,12 @@
 """Agents from your own code: functions from observations to actions, checked before they run."""
 
-import importlib
 import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from operator import attrgetter
 from pathlib import Path
-from types import ModuleType
+from pkgutil import resolve_name
 from typing import Any, cast
 
 import numpy as np
@@ -113,14 +111,14 @@ def agent_from(name: str) -> Act:
         ValueError: the agent can't be made; the message says why.
     """
     with blaming(name, f"; expected {EXPECTED} ({GUIDE})"):
-        make = attrgetter(name.partition(":")[2])(_module_of(name))
-        return cast(Act, make())
+        return cast(Act, _resolved(name)())
 
 
-def _module_of(name: str) -> ModuleType:
+def _resolved(name: str) -> Any:
+    """Return what ``module:function`` names, or the module that ``module:`` names."""
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # last, so that installed modules take precedence
-    return importlib.import_module(name.partition(":")[0])
+    return resolve_name(name)
 
 
 def module_file(name: str) -> Path:
@@ -130,7 +128,7 @@ def module_file(name: str) -> Path:
         ValueError: there is no such module.
     """
     with blaming(name, f"; expected {EXPECTED} ({GUIDE})"):
-        return Path(str(_module_of(name).__file__))
+        return Path(str(_resolved(f"{name.partition(':')[0]}:").__file__))
 
 
 class Checked(Policy):
@@ -189,9 +187,10 @@ class Checked(Policy):
 
     def correct(self, observation: Array32) -> Correction | None:
         """Return the agent's corrections, if it has any."""
-        n = len(observation)
         with blaming(self._name, f", in epoch {self._epoch} ({GUIDE})"):
             made: Any = self._policy.correct(observation)
             columns = np.column_stack([made.shift, made.log_factor, made.trusted])
-            numbers_in("shift, log_factor and trusted", columns, CORRECTION_LIMITS, n)
+            numbers_in(
+                "shift, log_factor and trusted", columns, CORRECTION_LIMITS, len(observation)
+            )
             return made  # type: ignore[no-any-return]
