@@ -123,9 +123,9 @@ SHIPPED = HERE / "entries"  # folder of the published entries
 BESIDE = (CLAIRVOYANT, "corrector", "guided", "imm-best")  # entries to show beside a user's entries
 
 
-def unseen_file(name: str) -> str:
-    """Return the JSON file of an unseen scene or radio."""
-    return str(HERE / "unseen" / f"{name}.json")
+def name_or_file(name: str) -> str:
+    """Return the name of a scene or radio or, if it is unseen, its JSON file."""
+    return str(HERE / "unseen" / f"{name}.json") if name in UNSEEN else name
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,6 @@ class Site:
 
 def sites() -> list[Site]:
     """Return all sites: training sites, unseen streets and radio, recordings, hard sites."""
-    files = {name: unseen_file(name) for name in UNSEEN}
     made = []
     for kind, scenes, radios in (
         (TRAINED, TRAINED_SCENES, TUNED_RADIOS),
@@ -152,8 +151,8 @@ def sites() -> list[Site]:
         (UNSEEN_KIND, ("street",), UNSEEN_RADIOS),
     ):
         for scene, radio in product(scenes, radios):
-            file = files.get(radio, radio)
-            source = played_on(scene=files.get(scene, scene), radio=file)
+            file = name_or_file(radio)
+            source = played_on(scene=name_or_file(scene), radio=file)
             made.append(Site(f"{scene}:{radio}", kind, file, source))
     for name, radio in product(sample_names(), OTHER_RADIOS):
         source = played_on(data=name, radio=radio)
@@ -177,16 +176,17 @@ def figures_of(name: str, site: Site, scores: AllScores) -> Json:
     own = scores[name]
     rewards = own["reward"]
     gains = {imm: rewards - scores[imm]["reward"] for imm in IMMS if imm in scores and imm != name}
-    means = bootstrap([rewards, own["ate_m"], *gains.values()])
-    reward, ate_m, *minus = (mean.json for mean in means)
     first = slice(site.scored(len(rewards)))
-    (over_rule,) = bootstrap([rewards[first] - scores[RULE]["reward"][first]])
+
+    def mean(values: Array) -> Json:
+        return bootstrap([values])[0].json
+
     return {
         "episodes": len(rewards),
-        "reward": reward,
-        "ate_m": ate_m,
-        "over_rule": over_rule.json,
-        "minus": dict(zip(gains, minus, strict=True)),
+        "reward": mean(rewards),
+        "ate_m": mean(own["ate_m"]),
+        "over_rule": mean(rewards[first] - scores[RULE]["reward"][first]),
+        "minus": {imm: mean(gain) for imm, gain in gains.items()},
     }
 
 

@@ -18,12 +18,12 @@ from experiments.evaluation.protocol import (
     figures_of,
     judge,
     mean_gain,
+    name_or_file,
     score_at,
     sealed,
     sites,
     standing,
     tables_of,
-    unseen_file,
 )
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, scene_from
@@ -32,7 +32,7 @@ from tests.paths import write_json
 
 def test_unseen_scenes_and_radios_are_not_shipped_and_the_scenes_differ():
     assert not set(UNSEEN) & {*SCENES, *RADIOS}
-    scenes = [scene_from(unseen_file(name)) for name in UNSEEN[:-1]]
+    scenes = [scene_from(name_or_file(name)) for name in UNSEEN[:-1]]
     for scene in scenes:
         scene.require_streets_in_front()
         assert len(scene.anchors_m) == 3

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.evaluation.protocol import UNSEEN_RADIOS, UNSEEN_SCENES, unseen_file
+from experiments.evaluation.protocol import UNSEEN_RADIOS, UNSEEN_SCENES, name_or_file
 from experiments.training import training_task as module
 from experiments.training.training_task import (
     Place,
@@ -80,11 +80,11 @@ def test_custom_files_named_like_an_unseen_scene_or_radio_are_refused(unseen, fi
 
 def test_scenes_and_radios_that_the_benchmark_keeps_unseen_are_refused():
     for name in UNSEEN_SCENES:
-        for word in (f"{name}:handset", f"{unseen_file(name)}:handset"):
+        for word in (f"{name}:handset", f"{name_or_file(name)}:handset"):
             with refuses("scene"):
                 place_from(word)
     for name in UNSEEN_RADIOS:
-        for word in (f"street:{name}", f"street:{unseen_file(name)}"):
+        for word in (f"street:{name}", f"street:{name_or_file(name)}"):
             with refuses("radio"):
                 place_from(word)
 
