@@ -11,13 +11,7 @@ import numpy as np
 from experiments.console.options import CompareArgs
 from experiments.console.output import escaped, grid
 from experiments.evaluation.compare import Comparison, comparison_of, episodes_csv, references
-from experiments.evaluation.contenders import (
-    Run,
-    contender_of,
-    contenders,
-    seeds_from,
-    task_of,
-)
+from experiments.evaluation.contenders import Run, contender_of, contenders, seeds_from, task_of
 from experiments.evaluation.intervals import bootstrap, crossed_bootstrap
 from experiments.evaluation.positions import EpochErrors, Positions, positions_markdown
 from experiments.evaluation.runner import AllScores, Scores, Scoring, score_contenders
@@ -53,13 +47,16 @@ def over_training_seeds(
         above = sum(each.low > 0.0 for each in bootstrap(values))
         content[column] = {"mean": mean.json, "above_zero": above}
         wins.append("" if column == "reward" else f"{above} of {len(trained)}")
-        means.append(str(mean))
-    rows = [["intervals above zero", *wins], ["mean over seeds", *means]]
+        means.append(mean)
+    table = grid(
+        ["training seed", *columns],
+        [["intervals above zero", *wins], ["mean over seeds", *means]],
+    )
     about = (
         f"Trainings of {escaped(name)}, all seeds together. Intervals (95 %) allow for the choice "
         "of episodes; in the last row, also for the choice of seeds:"
     )
-    return content, f"\n{about}\n\n{grid(['training seed', *columns], rows)}\n"
+    return content, f"\n{about}\n\n{table}\n"
 
 
 def results(args: CompareArgs) -> tuple[Comparison, str, Json, EpochErrors]:

@@ -1,7 +1,6 @@
 """The reports that ``localize`` prints: about a track, or about a log and its likely mistakes."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -93,7 +92,7 @@ def _learned_map(learned: Json) -> str:
             [
                 f"anchor {image['anchor']}",
                 *(f"{x:.1f} ± {sigma:.1f}" for x, sigma in pairs),
-                str(image["paths"]),
+                image["paths"],
                 "{:.3f} x {:+.3f} y = {:.1f}".format(*wall["normal"], wall["offset_m"]),
             ]
         )
@@ -110,9 +109,9 @@ def _groups(groups: Json) -> str:
     rows = [
         [
             name,
-            str(g["seen"]),
+            g["seen"],
             f"{g['rejected']} ({_percent(g['rejected_share'])})" if g["seen"] else "-",
-            str(g["incomplete"]),
+            g["incomplete"],
             _number(g["nis_per_dof"]),
             _number(g["nis_in_bounds"]),
         ]
@@ -166,7 +165,7 @@ def log_facts(log: Log, scene: Scene) -> Json:
     steps = np.diff(log.time_s)
     step_s = float(np.median(steps)) if len(steps) else None
     usual_s = step_s or 0.0
-    irregular: dict[str, Any] = {
+    irregular = {
         f"gaps of more than {GAP_S:g} s, after which a new track begins": steps > GAP_S,
         f"steps that differ from {usual_s:.4g} s by more than 10 %": abs(steps - usual_s)
         > _UNEVEN * usual_s,

@@ -346,7 +346,7 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
         ]
         table = []
         for row in rows.values():
-            table.append([str(row[axis]) for axis in axes])
+            table.append([row[axis] for axis in axes])
             for metric in METRICS:
                 ends = (row.get(f"{metric}_{part}", np.nan) for part in Interval._fields)
                 table[-1].append(rounded(Interval(*ends)))
