@@ -116,11 +116,16 @@ def outcomes_markdown(outcomes: Sequence[Json]) -> str:
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
         best = outcome["best"]
-        gains = [Interval.of(best[name]) for name in minus]
-        cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]
-        rows.append([*cells, f"{outcome['seconds']:g} s"])
-    header = ["seed", "reward", "best after", *minus, "time"]
-    return grid(header, rows)
+        rows.append(
+            [
+                outcome["seed"],
+                f"{best['reward']:.4f}",
+                best["timesteps"],
+                *(Interval.of(best[name]) for name in minus),
+                f"{outcome['seconds']:g} s",
+            ]
+        )
+    return grid(["seed", "reward", "best after", *minus, "time"], rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,8 +225,12 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     makes[BEST_IMM] = lambda: Contender(best_bank(radio), name=BEST_IMM)
     shipped = shipped_policies()
     base = radio_from(radio).base
-    files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
-    return makes | {n: partial(Contender.learned, f, n, radio) for n, f in files if f in shipped}
+    return makes | {
+        name: partial(Contender.learned, file, name, radio)
+        for name in SHIPPED
+        for file in (name, f"{name}-{base}")
+        if file in shipped
+    }
 
 
 def contender_from(
@@ -297,7 +306,7 @@ def contender_of(args: ModeArgs, name: str) -> Contender:
 
 def task_of(args: ModeArgs) -> Task:
     """Return the task of an environment that gets these options as its arguments."""
-    return _task(args, args.modes or None, args.beliefs)
+    return _task(args, args.modes or None)
 
 
 def source_of(args: WorldArgs) -> EpisodeSource:
@@ -306,10 +315,10 @@ def source_of(args: WorldArgs) -> EpisodeSource:
     return _task(args, [Mode("none")]).source
 
 
-def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
-    names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
+def _task(args: WorldArgs, modes: Modes) -> Task:
+    names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes"}
     world = {name: value for name, value in vars(args).items() if name in names}
-    return task_from(**world, episodes=args.data, modes=modes, beliefs=beliefs)
+    return task_from(**world, episodes=args.data, modes=modes)
 
 
 def seeds_from(episodes: int, seed: int) -> range:
