@@ -29,6 +29,7 @@ from mmwave_env.numerics.numbers import Array, Matrix, Numbers
 
 MOST_ANCHORS = 32  # with this many anchors, compiling takes a minute and a half
 
+IMAGES = Size(0, MOST_ANCHORS - 1)  # limits of the number of mirror images
 Coordinate = Annotated[float, POSITION_M]
 _EACH = f"each {POSITION_M.expected}"
 Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], f"[x, y, z], {_EACH}"]
@@ -115,7 +116,8 @@ class Streets(Record):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, extent in (("x_m", self.x_m), ("y_m", self.y_m)):
+        for name in self.ordered:
+            extent = getattr(self, name)
             blocks = (extent[1] - extent[0]) / self.block_m
             if abs(blocks - round(blocks)) > 1e-6:
                 raise ValueError(
@@ -138,6 +140,9 @@ class LearnedImage(Record):
         tuple[Deviation, Deviation, Deviation], f"[x, y, z], each {SIGMA_M.expected}"
     ]
     paths: Annotated[int, counts(1, 1_000_000_000)]
+
+
+Learned = Annotated[tuple[LearnedImage, ...], IMAGES]
 
 
 class SceneNumbers(NamedTuple):
@@ -177,17 +182,17 @@ class Scene:
 
     name: Name
     base_station_m: Point
-    walls: Annotated[tuple[Wall, ...], Size(0, MOST_ANCHORS - 1)] = ()
+    walls: Annotated[tuple[Wall, ...], IMAGES] = ()
     streets: Streets = field(default_factory=Streets)
     carrier_hz: Carrier = 28e9
     bandwidth_hz: Bandwidth = 100e6
-    virtual_anchors_m: Annotated[tuple[Point, ...], Size(0, MOST_ANCHORS - 1)] = ()
+    virtual_anchors_m: Annotated[tuple[Point, ...], IMAGES] = ()
     origin: Origin | None = None
     side: Place | None = None
     bearing_deg: Bearing = 0.0
     range_offset_m: Offsets = ()
     range_offset_sigma_m: OffsetSigmas = ()
-    learned: Annotated[tuple[LearnedImage, ...], Size(0, MOST_ANCHORS - 1)] = ()
+    learned: Learned = ()
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -218,7 +223,7 @@ class Scene:
 
     def with_anchors(self, anchors_m: Array) -> "Scene":
         """Return the scene with anchors (L, 3), the physical gNB first, and without walls."""
-        gnb, *virtual = [(x, y, z) for x, y, z in anchors_m.tolist()]
+        gnb, *virtual = map(tuple, anchors_m.tolist())
         places = tuple(virtual)
         return replace(self, base_station_m=gnb, walls=(), virtual_anchors_m=places, learned=())
 
@@ -260,8 +265,8 @@ class Scene:
     def numbers(self) -> SceneNumbers:
         """Return the numbers that a simulation needs."""
         streets = self.streets
-        (west, east) = self.streets.x_m
-        (south, north) = self.streets.y_m
+        west, east = streets.x_m
+        south, north = streets.y_m
         extent = [east - west, north - south]
         anchors = self.anchors_m.tolist()
         return SceneNumbers(anchors, streets.block_m, extent, [west, south], streets.height_m)
@@ -356,7 +361,7 @@ class AnchorScene(Record):
     bearing_deg: Bearing = 0.0
     range_offset_m: Offsets = ()
     range_offset_sigma_m: OffsetSigmas = ()
-    learned: Annotated[tuple[LearnedImage, ...], Size(0, MOST_ANCHORS - 1)] = ()
+    learned: Learned = ()
 
 
 def _scene(content: Json) -> Scene:
