@@ -116,8 +116,8 @@ def seen_from_image(azimuth: Number, elevation: Number, station: Vector, image: 
     d - 2 (d.n) n, with the unit vector n along image - station. If image = station, d is unchanged.
     """
     n = minus(image, station)
-    (cos_az, sin_az) = cos_sin(azimuth)
-    (cos_el, sin_el) = cos_sin(elevation)
+    cos_az, sin_az = cos_sin(azimuth)
+    cos_el, sin_el = cos_sin(elevation)
     d = [cos_el * cos_az, cos_el * sin_az, sin_el]
     square = dot(n, n)
     along = 2.0 * dot(d, n) / where(square > 0.0, square, 1.0)
@@ -203,7 +203,9 @@ def link_group(
     apart = distance > NEAREST_M
     arrival = where(aside, wrap(z[1] - azimuth), 0.0)
     departure = where(aside, wrap(wrap(z[3] - azimuth + PI)), 0.0)
-    bearing, bearing_variance, *spare = _fused(arrival, departure, variance, measured)
+    bearing, bearing_variance, spare_nis, spare_determinant = _fused(
+        arrival, departure, variance, measured
+    )
     inverse = _inverse(distance)
     inverse_horizontal = _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
@@ -236,8 +238,8 @@ def link_group(
         ],
         change=change,
         curved=3,
-        spare_nis=spare[0],
-        spare_determinant=spare[1],
+        spare_nis=spare_nis,
+        spare_determinant=spare_determinant,
     )
     if not len(measured):
         return group
@@ -271,7 +273,7 @@ def doppler_group(
     distance = norms(d)[1]
     inverse = _inverse(distance)
     defined = where(distance > NEAREST_M, 1.0, 0.0)
-    u = [d[i] * inverse for i in range(3)]
+    u = [component * inverse for component in d]
     rate = range_rate(d, v)
 
     def change(step: Vector) -> Numbers:
@@ -280,7 +282,7 @@ def doppler_group(
         return [defined * (hz_per_mps * (range_rate(q, velocity) - rate) + step[6])]
 
     transverse = [hz_per_mps * inverse * (v[i] - u[i] * rate) for i in range(3)]
-    radial = [hz_per_mps * u[i] for i in range(3)]
+    radial = [hz_per_mps * component for component in u]
     return Group(
         innovation=[defined * (z[0] - (hz_per_mps * rate + x[6]))],
         variance=variance,
@@ -312,7 +314,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
         innovation=[z[0] - speed, wrap(z[1] - atan2(ahead[1], ahead[0]))],
         variance=variance,
         jacobian=[
-            [*fixed, *(v[i] * speed_inverse for i in range(3)), *others],
+            [*fixed, *(component * speed_inverse for component in v), *others],
             [*fixed, -v[1] * across, v[0] * across, 0.0, *others],
         ],
         change=change,

@@ -3,15 +3,8 @@
 from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE
-from mmwave_env.numerics.linalg import dot, symmetric
-from mmwave_env.numerics.numbers import (
-    Matrix,
-    Number,
-    Numbers,
-    Vector,
-    maximum,
-    sqrt,
-)
+from mmwave_env.numerics.linalg import dot, plus, symmetric
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, maximum, sqrt
 
 STANDING_MPS = 0.2  # far below this speed, the direction is unclear, so accelerate() does little
 # White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias. Its
@@ -96,7 +89,7 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> Numbers:
     a = maximum(acceleration, -speed / maximum(dt, _SHORTEST_S))
     change = [a * dt * (component / speed) for component in v]
     moved = [x[i] + (0.5 * dt) * change[i] for i in range(2)]
-    return [*moved, x[2], *(v[i] + change[i] for i in range(2)), *x[5:]]
+    return [*moved, x[2], *plus(v, change), *x[5:]]
 
 
 def transition_times(P: Matrix, dt: Number, hz_per_mps: Number | None = None) -> Matrix:

@@ -50,4 +50,4 @@ def vector_from_link(link: Array, sigma: Array) -> tuple[Array, Array]:
     up = np.array([-sin_el * cos_az, -sin_el * sin_az, cos_el])
     jacobian = np.column_stack([along, distance * across, distance * up])
     variance = [sigma[0] ** 2, weight * departure_variance, sigma[2] ** 2]
-    return distance * along, jacobian @ np.diag(variance) @ jacobian.T
+    return distance * along, (jacobian * variance) @ jacobian.T

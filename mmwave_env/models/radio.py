@@ -28,7 +28,7 @@ from mmwave_env.io.records import (
     require_fields,
 )
 from mmwave_env.models import envelope
-from mmwave_env.models.layout import Layout
+from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.scene import Scene
@@ -318,7 +318,7 @@ def deviations(
     the Doppler shift.
     """
     inverse = [exp(-DECIBEL * clip(snr, *SNR_LIMITS_DB)) for snr in snr_db]
-    per_row = [inverse[a] for a in range(layout.anchors) for _ in range(4)]
+    per_row = [of_link for of_link in inverse for _ in LINK]
     per_row += [inverse[0]] * (layout.size - len(per_row))
     return [
         sqrt(floor + bound * scale)

@@ -97,7 +97,7 @@ class RandomScene(Record):
             low = minimum(0.0, base[-1]) - behind
             walls.append(where(side > 0.0, high, low))
             extent.append(end)
-        (x, y) = base
+        x, y = base
         height = dice.uniform(*self.height_m)
         anchors = [[x, y, height], [2.0 * walls[0] - x, y, height], [x, 2.0 * walls[1] - y, height]]
         return SceneNumbers(anchors, block, extent, [0.0, 0.0], self.user_height_m)

@@ -191,10 +191,10 @@ def _require_geometry(paths: StationPaths, position: Array, anchor: Array, rows:
     """Refuse links whose values (n, 4) contradict the positions of receiver and anchor (n, 3)."""
     distance, azimuth, elevation = direction(list((position - anchor).T))
     exact = np.column_stack([distance, azimuth, elevation, wrap(azimuth + PI)])
-    error = np.abs(rows - exact)
-    error[:, 1:] = np.abs(wrap(rows[:, 1:] - exact[:, 1:]))
+    error = rows - exact
+    error[:, 1:] = wrap(error[:, 1:])
     error[:, [1, 3]] *= np.cos(elevation)[:, None]  # azimuths are undefined at the zenith
-    wrong = ~(error <= _TOLERANCES)
+    wrong = ~(abs(error) <= _TOLERANCES)
     if wrong.any():
         n, row = np.argwhere(wrong)[0].tolist()
         paths.refuse_path(
