@@ -22,7 +22,7 @@ def read_lines(path: Path) -> tuple[list[str], str]:
     Raises:
         OSError: the file can't be opened or read, or needs more memory than there is.
     """
-    pieces: list[bytes] = []
+    pieces = []
     done = 0
     damage = ""
     with open_regular(path) as raw, naming(path):

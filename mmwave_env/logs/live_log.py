@@ -158,8 +158,7 @@ def log_from(epochs: Iterable[LiveEpoch]) -> Log:
     parts = []
     for columns, some in groupby(epochs, key=lambda epoch: epoch.columns):
         parts.append(log_of(columns.table([epoch.rows for epoch in some])))
-    joined: Log = Log.joined(parts)
-    return joined
+    return Log.joined(parts)
 
 
 @dataclass(slots=True)
@@ -358,7 +357,6 @@ class LiveLog:
 
     def _cells(self, row: str | Row, number: int) -> tuple[str, Cells]:
         """Return a row's user ("" if unnamed) and cells (none if blank); refuse a damaged row."""
-        words: list[str]
         columns = self._columns
         if isinstance(row, str):
             user = ""

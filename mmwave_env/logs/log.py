@@ -21,13 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mmwave_env.logs.log_checks import sound_epochs
-from mmwave_env.logs.log_columns import (
-    DIFFERENCE,
-    LINK_QUANTITIES,
-    QUANTITIES,
-    SIGMA_OF,
-    STATION,
-)
+from mmwave_env.logs.log_columns import DIFFERENCE, LINK_QUANTITIES, QUANTITIES, SIGMA_OF, STATION
 from mmwave_env.logs.log_tables import Arrays, LogError, Table, read_table
 from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
 from mmwave_env.models.scene import Scene

@@ -291,7 +291,7 @@ def _problem(name: str) -> str:
     if name == USER:
         return f"column {name!r}: found users, expected one (a file has one; --live reads many)"
     # The longest match counts, so that doppler_spread_x is not taken for a Doppler shift.
-    spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
+    spelled = {quantity: quantity for quantity in QUANTITIES} | {"range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:
         expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)

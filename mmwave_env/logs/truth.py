@@ -82,8 +82,7 @@ def stretches(time_s: Array, truth: Array, gap_s: float) -> list[slice]:
     """
     known = np.asarray(np.isfinite(truth).all(axis=1))
     ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > gap_s)) + 1
-    runs = [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)])]
-    return [run for run in runs if run.stop - run.start > 1]
+    return [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)]) if b - a > 1]
 
 
 def velocity_of(time_s: Array, position_m: Array, gap_s: float) -> Array:

@@ -38,7 +38,7 @@ def read_tum(path: Path) -> Poses:
     """
     lines, damage = read_lines(path)
     rows: list[list[float]] = []
-    repeated: list[str] = []
+    repeated = []
     for n, line in enumerate(lines, start=1):
         words = line.split("#")[0].split()
         place = f"{path}, line {n}"

@@ -10,12 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mmwave_env.datasets.deepmimo.anchors import (
-    TOLERANCE_M,
-    StationLinks,
-    StationPaths,
-    find_links,
-)
+from mmwave_env.datasets.deepmimo.anchors import TOLERANCE_M, StationLinks, StationPaths, find_links
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import COLUMNS, read_trajectory
