@@ -112,8 +112,8 @@ class Comparison:
         if pair := self.paired.get(f"{policy} - {other}"):
             return pair["reward"]
         if pair := self.paired.get(f"{other} - {policy}"):
-            turned = pair["reward"]
-            return Interval(-turned.mean, -turned.high, -turned.low)
+            mean, low, high = pair["reward"]
+            return Interval(-mean, -high, -low)
         return None
 
     def __str__(self) -> str:

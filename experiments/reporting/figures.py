@@ -144,8 +144,12 @@ def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: P
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
         over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
         plain_numbers(over_time.yaxis)
-        whole.set(xlabel="probability p", ylabel="share of NEES below\nthe chi-square p-quantile")
-        whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+        whole.set(
+            xlabel="probability p",
+            ylabel="share of NEES below\nthe chi-square p-quantile",
+            xlim=(0.0, 1.0),
+            ylim=(0.0, 1.0),
+        )
 
 
 TITLE_LETTERS = 80  # maximum number of characters in a line of the title

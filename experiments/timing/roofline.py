@@ -95,8 +95,11 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     emitter = Emitter(recorder)
     before = [Tracer(emitter, recorder.load(row)) for row in range(len(flatten(template)))]
     after = flatten(function(unflatten(template, iter(before))))
-    changed = [new for old, new in zip(before, after, strict=True) if new is not old]
-    results = [new.value for new in changed if isinstance(new, Tracer)]
+    results = [
+        new.value
+        for old, new in zip(before, after, strict=True)
+        if isinstance(new, Tracer) and new is not old
+    ]
     needed = set(results)  # every instruction on which the results depend
     for step in reversed(recorder.known.values()):
         if step in needed:

@@ -113,7 +113,7 @@ class RolloutEnv:
         """
         parts = []
         for _ in range(max(source.epochs for source in self._sources)):
-            self.step(np.zeros(len(self._everyone), np.int64))
+            self.step(np.zeros_like(self._everyone))
             parts.append(self.observations)
         observations = np.concatenate(parts)
         mean = observations.mean(0)

@@ -126,7 +126,7 @@ def side_by_side(
                     child.start()
                 signal.signal(signal.SIGINT, on_interrupt)
                 running[ours] = job, child
-            ready: list[Any] = wait(list(running))
+            ready: list[Any] = wait(running)
             for line in ready:
                 job, process = running[line]
                 try:

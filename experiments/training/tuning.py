@@ -59,8 +59,7 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
     """
     nis = history["memory.nis"]
     log_likelihood = history["log_likelihood"]
-    rows = [group.stop - group.start for group in layout.groups]
-    excess = np.maximum(nis - chdtri(rows, 1.0 - CAP), 0.0).sum(axis=-1)
+    excess = np.maximum(nis - chdtri(layout.widths, 1.0 - CAP), 0.0).sum(axis=-1)
     capped = log_likelihood + 0.5 * excess
     per_epoch: Array = capped[:, scored(nis.shape[1])].mean(axis=-1)
     return per_epoch

@@ -37,7 +37,7 @@ class Canvas:
     def __init__(self, size: int, theme: Theme) -> None:
         self.color = theme.color
         self._unit = size / UNITS
-        self._scale = _TIMES * size / UNITS
+        self._scale = _TIMES * self._unit
         self._large = pygame.Surface((size * _TIMES, size * _TIMES), 0, 32)
         self._words: list[tuple[Any, Point]] = []
         self._large.fill(self.color("paper"))

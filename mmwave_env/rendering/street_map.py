@@ -133,7 +133,6 @@ def _draw_tracks(canvas: Canvas, view: View, history: History) -> None:
         canvas.line(outline, color, 1.2, closed=True)
     if len(truth) > 1:
         canvas.line(truth, "truth", 1.4)
-    if len(track) > 1:
         draw_by_mode(canvas, track, history.modes[rows], 2.2)
     canvas.disc(truth[-1], 4.0, "truth")
     draw_estimate(canvas, track[-1], color)

@@ -19,13 +19,7 @@ from experiments.console.output import cells_of, unescaped
 from experiments.console.provenance import options_from, provenance
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.compare import Comparison
-from experiments.evaluation.contenders import (
-    DESCRIPTIONS,
-    contender_of,
-    named,
-    seeds_from,
-    task_of,
-)
+from experiments.evaluation.contenders import DESCRIPTIONS, contender_of, named, seeds_from, task_of
 from experiments.evaluation.positions import positions_markdown
 from experiments.evaluation.runner import histories_of
 from experiments.reporting.log_report import track_markdown
@@ -191,8 +185,8 @@ def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
 def origin_of(title: str, content: Json) -> str:
     """Return HTML with the command and the package versions that made results or this page."""
     made = ", ".join(f"{name} {version}" for name, version in content["versions"].items())
-    parts = element("h3", title), element("pre", content["command"])
-    return "".join(parts) + element("p", f"Made with {made}.")
+    command = element("pre", content["command"])
+    return element("h3", title) + command + element("p", f"Made with {made}.")
 
 
 LONGEST = 600  # maximum number of epochs of an episode that can be watched
