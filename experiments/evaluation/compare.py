@@ -126,10 +126,13 @@ class Comparison:
             names = [*self.policies]
             intervals = ", 95 % intervals" if len(self.seeds) > 1 else ""
             subtracted = [b for b in names if any(f"{a} - {b}" in self.paired for a in names)]
-            rows = []
-            for name in names:
-                gains = (self.paired.get(f"{name} - {reference}") for reference in subtracted)
-                rows.append([name, *(gain["reward"] if gain else "" for gain in gains)])
+            rows = [
+                [
+                    name,
+                    *(self.paired.get(f"{name} - {b}", {}).get("reward", "") for b in subtracted),
+                ]
+                for name in names
+            ]
             table = grid(["reward of", *(f"minus {reference}" for reference in subtracted)], rows)
             parts += [f"\nPaired differences of the reward{intervals}:\n", table]
         return "\n".join(parts) + "\n"
@@ -141,8 +144,7 @@ class Comparison:
         """
         rows = [[name, *(rounded(row[m]) for m in METRICS)] for name, row in self.policies.items()]
         header = ["policy", *(HEADERS[metric] for metric in METRICS)]
-        scores = self.scores
-        if scores:
+        if scores := self.scores:
             header.append("score")
             rows = [[*row, score_cell(scores[row[0]])] for row in rows]
         return header, rows
@@ -194,8 +196,7 @@ def compare_scores(scores: AllScores, own: Sequence[str] = (), **more: Any) -> C
         for name in scores if reference in everyones else own:
             if name != reference:
                 pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
-    paired = rows(pairs) if pairs else {}
-    return Comparison(policies=rows(stacked), paired=paired, **more)
+    return Comparison(policies=rows(stacked), paired=rows(pairs) if pairs else {}, **more)
 
 
 def comparison_of(

@@ -112,19 +112,17 @@ class Run:
 
 def outcomes_markdown(outcomes: Sequence[Json]) -> str:
     """Return a Markdown table of training outcomes, one row per seed, in the given order."""
-    rows = []
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
-    for outcome in outcomes:
-        best = outcome["best"]
-        rows.append(
-            [
-                outcome["seed"],
-                f"{best['reward']:.4f}",
-                best["timesteps"],
-                *(Interval.of(best[name]) for name in minus),
-                f"{outcome['seconds']:g} s",
-            ]
-        )
+    rows = [
+        [
+            outcome["seed"],
+            f"{outcome['best']['reward']:.4f}",
+            outcome["best"]["timesteps"],
+            *(Interval.of(outcome["best"][name]) for name in minus),
+            f"{outcome['seconds']:g} s",
+        ]
+        for outcome in outcomes
+    ]
     return grid(["seed", "reward", "best after", *minus, "time"], rows)
 
 

@@ -137,7 +137,7 @@ class Section(NamedTuple):
         """Return a row [section, row, column, mean, low, high] for every number."""
         out = []
         for row in self.rows:
-            name = ", ".join(str(cell) for cell in row[: self.labels])
+            name = ", ".join(map(str, row[: self.labels]))
             for column, cell in zip(self.columns[self.labels :], row[self.labels :], strict=True):
                 if isinstance(cell, Interval):
                     ends = (cell.low, cell.high) if cell.known else ("", "")

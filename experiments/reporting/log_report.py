@@ -84,18 +84,17 @@ def _course(f: Json) -> Iterator[str]:
 
 def _learned_map(learned: Json) -> str:
     """Return the images of a learned map with their walls, and the share of explained paths."""
-    rows = []
-    for image in learned["images"]:
-        pairs = zip(image["position_m"], image["sigma_m"], strict=True)
-        wall = image["wall"]
-        rows.append(
-            [
-                f"anchor {image['anchor']}",
-                *(f"{x:.1f} ± {sigma:.1f}" for x, sigma in pairs),
-                image["paths"],
-                "{:.3f} x {:+.3f} y = {:.1f}".format(*wall["normal"], wall["offset_m"]),
-            ]
-        )
+    rows = [
+        [
+            f"anchor {image['anchor']}",
+            *map("{:.1f} ± {:.1f}".format, image["position_m"], image["sigma_m"]),
+            image["paths"],
+            "{:.3f} x {:+.3f} y = {:.1f}".format(
+                *image["wall"]["normal"], image["wall"]["offset_m"]
+            ),
+        ]
+        for image in learned["images"]
+    ]
     table = grid(["learned", "x m", "y m", "z m", "paths", "wall between"], rows) if rows else ""
     share = _percent(learned["explained"] / learned["paths"])
     return (

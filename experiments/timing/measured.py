@@ -94,7 +94,7 @@ def filterpy() -> Laps:
 def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
     """Filter an episode with all modes; return the total reward if the last mode is always used."""
     layout = twin.layout
-    memory = initial_memory(twin.layout, 1)
+    memory = initial_memory(layout, 1)
     reward = TrackingReward()
     site = unflatten(blank_site(layout), iter(episode.site().tolist()))
     blank = blank_incoming(layout)
@@ -282,12 +282,6 @@ def tables_of(figures: Json) -> dict[str, str]:
     """Return all tables as Markdown, by title, the ratios first."""
     rates = figures["steps_per_s"]
     limits = figures["limit_s"]
-    reached = []
-    for name, fractions in figures["limit_fraction"].items():
-        least = limits.get(name, limits[STEP])
-        taken = np.divide(1.0, rates[name]).tolist()
-        shown = (spread(least, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
-        reached.append([name, *shown])
     return {
         "Ratios": grid(
             ["ratio of steps per second", f"to {FILTERPY}"],
@@ -298,7 +292,16 @@ def tables_of(figures: Json) -> dict[str, str]:
             [[name, spread(each), short(1e9 / median(each))] for name, each in rates.items()],
         ),
         "Limit of the core": grid(
-            ["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], reached
+            ["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"],
+            [
+                [
+                    name,
+                    spread(limits.get(name, limits[STEP]), 1e9),
+                    spread(np.divide(1e9, rates[name]).tolist()),
+                    spread(fractions, 100.0),
+                ]
+                for name, fractions in figures["limit_fraction"].items()
+            ],
         ),
         "Latency": grid(
             ["one epoch", *(f"p{p:g}, microseconds" for p in PERCENTILES)],
