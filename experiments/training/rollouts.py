@@ -203,7 +203,8 @@ class RolloutLearner:
         """
         hyper = self._hyper
         filled = min(self._seen, len(self._gains))
-        self.optimizers[0].param_groups[0]["lr"] = hyper.learning_rate * left
+        (adam,) = self.optimizers
+        adam.param_groups[0]["lr"] = hyper.learning_rate * left
         for _ in range(hyper.gradient_steps):
             some = torch.randint(filled, (hyper.batch_size,))
             log_p = torch.log_softmax(self.network(self._observations[some]), 1)
@@ -211,9 +212,9 @@ class RolloutLearner:
             expected = (p * self._gains[some]).sum(1).mean()
             entropy = -(p * log_p).sum(1).mean()
             loss = -expected - hyper.ent_coef * left * entropy
-            self.optimizers[0].zero_grad()
+            adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            self.optimizers[0].step()
+            adam.step()
 
 
 class RolloutTrainer(RolloutLearner, Trainer):

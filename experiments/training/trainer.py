@@ -111,11 +111,11 @@ class Trainer(ABC):
         """
         task = self.judged
         places = task.places
-        drawn = []
-        shares = np.array_split(np.arange(max(episodes, len(places))), len(places))
-        for place, here in zip(places, shares, strict=True):
-            seeds = (TUNING_SEED + here).tolist()
-            drawn.append((place.radio, draw_episodes(place.source(task.scenario), seeds)))
+        seeds = TUNING_SEED + np.arange(max(episodes, len(places)))
+        drawn = [
+            (place.radio, draw_episodes(place.source(task.scenario), some.tolist()))
+            for place, some in zip(places, np.array_split(seeds, len(places)), strict=True)
+        ]
 
         def scores_of(contender: Callable[[str], Contender]) -> Scores:
             """Score a contender, given its function of the radio, on all episodes."""
@@ -241,8 +241,8 @@ def judge(
     for name, value in results.items():
         row[f"tuning/{name}"] = float(value["mean"] if isinstance(value, dict) else value)
     progress.log.append(row)
-    rows = [logged.values() for logged in progress.log]
-    write_text(job.folder / "progress.csv", csv_text([row, *rows]))
+    table = [row, *(logged.values() for logged in progress.log)]
+    write_text(job.folder / "progress.csv", csv_text(table))
     return row["tuning/reward"]
 
 
