@@ -155,10 +155,12 @@ def log_from(epochs: Iterable[LiveEpoch]) -> Log:
 
     The times of users need not increase.
     """
-    parts = []
-    for columns, some in groupby(epochs, key=lambda epoch: epoch.columns):
-        parts.append(log_of(columns.table([epoch.rows for epoch in some])))
-    return Log.joined(parts)
+    return Log.joined(
+        [
+            log_of(columns.table([epoch.rows for epoch in some]))
+            for columns, some in groupby(epochs, key=lambda epoch: epoch.columns)
+        ]
+    )
 
 
 @dataclass(slots=True)
@@ -223,7 +225,7 @@ class LiveLog:
         associated: bool = True,
     ) -> None:
         self.warnings: list[str] = []
-        self.left_out: Counter[str] = Counter()
+        self.left_out = Counter[str]()
         self._arrivals = defaultdict[str, _Arrivals](_Arrivals)  # by user
         self._user = names.index(USER) if USER in names else None
         self._known = {"", USER, *names}  # also names of columns that are ignored
@@ -289,8 +291,9 @@ class LiveLog:
                     return over
                 _require_sound(columns.table([[*arrived.rows, cells]], number))
         arrived.rows.append(cells)
-        whole = len(arrived.rows) == columns.most_rows
-        return [*over, *(self._end(user) if whole else [])]
+        if len(arrived.rows) == columns.most_rows:
+            over += self._end(user)
+        return over
 
     def forget(self, users: list[str]) -> None:
         """Forget users, who have left; clear the list."""

@@ -340,8 +340,9 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
     anchor = doppler_anchor(m.anchors, m.doppler_of)
     groups = [*links, doppler_group(x, anchor, m.hz_per_mps, m.z[r], m.variance[r])]
     if m.layout.odometry:
-        odometry = odometry_group(x, m.z[rows[-1]], m.variance[rows[-1]])
-        groups.append(_only(odometry, m.measured[rows[-1]]) if m.layout.partial else odometry)
+        r = rows[-1]
+        odometry = odometry_group(x, m.z[r], m.variance[r])
+        groups.append(_only(odometry, m.measured[r]) if m.layout.partial else odometry)
     return groups
 
 

@@ -77,7 +77,7 @@ class Wall:
         """Return the mirror image of a point."""
         nx, ny = self.unit_normal
         step = -2.0 * self.signed_distance(point)
-        return (point[0] + step * nx, point[1] + step * ny, point[2])
+        return point[0] + step * nx, point[1] + step * ny, point[2]
 
 
 @dataclass(frozen=True)

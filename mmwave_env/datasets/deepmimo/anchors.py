@@ -161,10 +161,10 @@ def _anchors(paths: StationPaths, position: Array) -> tuple[Array, Index]:
     anchors = [station]
     leads = np.full(len(images), -1)
     tree = cKDTree(images)
-    for i in range(len(images)):
+    for i, image in enumerate(images):
         if leads[i] < 0:
-            near = np.array(tree.query_ball_point(images[i], TOLERANCE_M))
-            near = np.sort(near[leads[near] < 0])
+            near = np.array(tree.query_ball_point(image, TOLERANCE_M))
+            near = near[leads[near] < 0]
             leads[near] = len(anchors)
             anchors.append(np.median(images[near], axis=0))
     member = np.zeros(len(reflected), np.int64)
