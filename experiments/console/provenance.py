@@ -60,5 +60,6 @@ def options_from(kind: type[Any], content: Json) -> Any:
 
 def versions() -> dict[str, str]:
     """Return the versions of this package, Python and the packages that affect the results."""
-    packages = versions_of("gymnasium", "numpy", "numba", "scipy")
-    return packages | {"python": platform.python_version()}
+    return versions_of("gymnasium", "numpy", "numba", "scipy") | {
+        "python": platform.python_version()
+    }

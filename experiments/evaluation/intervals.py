@@ -63,8 +63,9 @@ def _resamples(n: int, seed: int = 0) -> list[NDArray[np.uint16]]:
     """Return how often each resample draws each of n episodes or seeds, in blocks (BLOCK, n)."""
     rng = np.random.default_rng(seed)
     share = np.full(n, 1.0 / n)
-    blocks = range(RESAMPLES // BLOCK)
-    return [rng.multinomial(n, share, size=BLOCK).astype(np.uint16) for _ in blocks]
+    return [
+        rng.multinomial(n, share, size=BLOCK).astype(np.uint16) for _ in range(RESAMPLES // BLOCK)
+    ]
 
 
 def bootstrap(

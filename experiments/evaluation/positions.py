@@ -39,9 +39,8 @@ class Positions:
         counts = scored(len(time_s))
         empty = PositionErrors(self.levels.risk, self.planar)
         errors = self.errors.setdefault(contender.name, empty)
-        mixes = contender.bank is not None
         self.levels.reset()
-        factors = self.levels.factors(self.anchors, mixes, time_s, results)
+        factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, results)
         errors.add(results["error"][:, counts], results["P"][:, counts], factors[:, counts])
 
     def figures(self) -> Json:

@@ -166,8 +166,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> AllScor
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
-        everybody = dict.fromkeys([*names, RULE, *IMMS])
-        chosen = [contender_from(name, site.radio) for name in everybody]
+        chosen = [contender_from(name, site.radio) for name in dict.fromkeys([*names, RULE, *IMMS])]
         return score_contenders(chosen, site.source(), seeds_from(episodes, seed))
 
 

@@ -102,9 +102,13 @@ def run_contender(
     policy = policy or contender.start(batch.layout, scoring.planar)
     if isinstance(policy, Estimator):
         return _run_estimator(pipeline, policy, batch, scoring.reward, names)
-    n = len(batch.length)
     engine = Engine(
-        pipeline, n, scoring.reward, contender.observation, contender.bank, policy=policy
+        pipeline,
+        len(batch.length),
+        scoring.reward,
+        contender.observation,
+        contender.bank,
+        policy=policy,
     )
     engine.load(batch)
     if isinstance(policy, Clairvoyant):  # it sees the whole episodes first

@@ -55,11 +55,10 @@ def run_live(args: LogArgs) -> None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
     if args.associate:
         raise ValueError("associate: found --live, for which --map learn assigns paths to anchors")
-    of_files = (
-        "sample", "truth", "out", "plot", "json", "two_way", "diagnose", "odometry", "more",
-        "write", "window", "smoothing",
+    require_alone(
+        args, "live", "sample", "truth", "out", "plot", "json", "two_way", "diagnose", "odometry",
+        "more", "write", "window", "smoothing",
     )  # fmt: skip
-    require_alone(args, "live", *of_files)
     check_options(args, inputs(args))
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
@@ -105,10 +104,10 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     A doubtful epoch waits for the next ones. If the map explains few paths, a warning says so. At
     the end, also after a signal, the map is written if --map-out asks for it.
     """
-    alone = (
-        "policy", "imm", "speed", "height", "levels", "risk", "correlation", "robust", "follow",
+    require_alone(
+        args, "map", "policy", "imm", "speed", "height", "levels", "risk", "correlation", "robust",
+        "follow",
     )  # fmt: skip
-    require_alone(args, "map", *alone)
     name = "handset" if args.radio == AUTO else args.radio
     mode = modes_from(args.modes, name)[-1]
     learner = MapLearner(scene, radio_of(args, name), mode)
@@ -272,8 +271,7 @@ def _epochs(
     A JSON object is one row, or a whole epoch: {"rows": [...]}. Epochs that arrive together are
     yielded together, with the log to which they belong.
     """
-    lines: Lines
-    lines = (line for line in _lines() if line is None or line[1])
+    lines: Lines = (line for line in _lines() if line is None or line[1])
     number, first = next(filter(None, lines), (0, ""))
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")

@@ -401,8 +401,7 @@ def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     files = inputs(args)
     work = _work(args, files, scene_of(args, files.scene))
     work = work._replace(log=work.log.part(slice(epochs)))
-    track = _track(args, work)
-    return track.by_segment()[0], work
+    return _track(args, work).by_segment()[0], work
 
 
 def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:

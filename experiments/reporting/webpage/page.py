@@ -157,8 +157,7 @@ def _comparison(content: Json) -> Part:
     name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
     title = f"{best} has a reward of {comparison.policies[best]['reward']}"
     for other in others:
-        by = comparison.margin(best, other)
-        if by:
+        if by := comparison.margin(best, other):
             level = by.low <= 0.0
             title = f"{best} and {other} are level" if level else f"{best} beats {other} by {by}"
             break
@@ -326,8 +325,7 @@ def page_of(args: PageArgs) -> str:
     parts = [read_part(path) for path in args.results]
     for part in parts:
         play(part, args.episodes)
-    origins = [part.origin for part in parts]
-    origins.append(origin_of("This page", provenance("report", args)))
+    origins = "".join(part.origin for part in parts)
     # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
     shown = {"episodes": [episode for part in parts for episode in part.episodes]}
     data = json.dumps(shown, allow_nan=False, separators=(",", ":"))
@@ -344,7 +342,7 @@ def page_of(args: PageArgs) -> str:
         "colors": " ".join(colors),
         "results": _folded(parts),
         "notes": "".join(element("p", note, "note") for note in notes),
-        "made": "".join(origins),
+        "made": origins + origin_of("This page", provenance("report", args)),
         "data": data.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
     }
 
