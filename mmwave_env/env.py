@@ -254,8 +254,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._backend = backend
         self._take_task(task_from(**arguments), observation)
         self._over = True
-        self._mode = np.zeros(1, np.int64)
-        self._set_up_noting()
         if render_mode:
             self._gallery = Gallery(1, *self._drawn, render_size, render_theme)
         self.observation_space = cast(Any, self.observation.space)
@@ -334,7 +332,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     def _checked(self, action: Any) -> tuple[Index, Array | None]:
         """Return (mode (1,), None), or (zero (1,), numbers (1, k)) for an action in a `Box`."""
         if len(self._limits):
-            return self._mode, numbers_in("action", action, self._limits)[None]
+            return np.zeros(1, np.int64), numbers_in("action", action, self._limits)[None]
         # `contains` takes longer than the filters, so the usual actions are checked without it
         known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)
         if not (known or self.action_space.contains(action)):
@@ -342,8 +340,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
                 f"action: found {action!r} ({type(action)}), expected an integer in "
                 f"{self.action_space}"
             )
-        self._mode[0] = action
-        return self._mode, None
+        return np.array([action], np.int64), None
 
     def render(self) -> Pixels | None:
         """Draw the track, seen from above; return pixels (size, size, 3), or None for "human"."""

@@ -103,7 +103,7 @@ class SB3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return a list that contains an attribute of the environment once for each index."""
-        return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of the vector environment; ``indices`` must be None or all indices."""
@@ -124,7 +124,7 @@ class SB3VecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
         """Return, for each index, True if the wrapper is Monitor, whose work this class does."""
-        return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def _require_all(self, indices: Indices, call: str) -> None:
         if len(set(self._get_indices(indices))) < self.num_envs:

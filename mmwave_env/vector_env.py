@@ -100,7 +100,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
                 f"max_episode_steps: found {max_episode_steps}, expected None or {epochs}; use "
                 "episode_steps= for another length"
             )
-        self._set_up_noting()
         if render_mode:
             self._gallery = Gallery(num_envs, *self._drawn, render_size, render_theme)
         self.single_observation_space = self.observation.space
@@ -183,9 +182,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
     def np_random_seed(self) -> Any:
         """Return the seed of each environment, as a `SyncVectorEnv` does."""
         return tuple(self._streams.seeds)
-
-    def _generator(self, place: int) -> np.random.Generator:
-        return self._streams.generator(place)
 
     def _draw(self, places: Index, keys: Keys | None = None) -> Info:
         """Begin episodes in the environments with indices ``places``; return infos, (N,) each."""

@@ -204,14 +204,17 @@ class Batch:
         return np.array([np.median(steps) if len(steps) else 1.0 for steps in each])
 
     def span(self, tree: Any) -> Any:
-        """Return the row of a leaf of ``at``, or the slice of the rows of a subtree or slice."""
-        if isinstance(tree, int | slice):
+        """Return the row of a leaf of ``at``, or the slice of the rows of a subtree.
+
+        A slice or an array of rows is returned as it is.
+        """
+        if isinstance(tree, int | slice | np.ndarray):
             return tree
         numbers = flatten(tree)  # these rows are contiguous
         return slice(numbers[0], numbers[-1] + 1)
 
     def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Return numbers: (n,) for a leaf of ``at``, (n, k) for a subtree or a slice of k rows."""
+        """Return numbers: (n,) for a leaf of ``at``, (n, k) for a subtree or some k rows."""
         blocks = np.moveaxis(self.state.rows[:, self.span(tree)], -1, 1).astype(dtype, order="C")
         return blocks.reshape(-1, *blocks.shape[2:])[: self.n]
 

@@ -107,7 +107,6 @@ class Engine(Batch):
         inputs = rows_of([at.action, at.numbers if action != MODE else []])
         shown = rows_of(at.observation)
         super().__init__(program, pipeline.layout, n, inputs, shown, on_floats, threads)
-        self._shown: Any = slice(None)
         if observation:
             self.observation = Observation(pipeline, observation, "per-mode" if bank else "shared")
         self._base = policy_from(base(self.observation), "base") if base else None
@@ -135,8 +134,7 @@ class Engine(Batch):
         """Observe only these features of the table."""
         names = self.observation.names
         self.observation = self.observation.only(features)
-        self._shown = [names.index(name) for name in self.observation.names]
-        self.obs_rows = self.obs_rows[self._shown]
+        self.obs_rows = self.obs_rows[[names.index(name) for name in self.observation.names]]
 
     def restart(self, places: Places) -> None:
         """Start over with the loaded episodes; a policy forgets the past."""
@@ -261,7 +259,7 @@ class Engine(Batch):
 
     def observations(self) -> Array32:
         """Return a copy of the current observations (n, features)."""
-        return self.read(self.at.observation, np.float32)[:, self._shown]
+        return self.read(self.obs_rows, np.float32)
 
 
 def tracker_of(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Engine:

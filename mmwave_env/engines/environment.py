@@ -3,7 +3,6 @@
 A copy computes exactly what the original would compute.
 """
 
-from collections.abc import Callable
 from copy import deepcopy
 from math import fsum
 from typing import Any, Self
@@ -51,10 +50,9 @@ class Environment:
     _engine: Engine
     _backend = "lanes"
     _gallery: Any  # draws pictures; None without a render mode
-    _generator: Callable[[int], np.random.Generator]  # of an environment, for episodes without keys
 
     def _take_task(self, task: Task, observation: str, n: int = 1, threads: int = 1) -> None:
-        """Store the task of n environments, which have no episode yet."""
+        """Store the task of n environments, which have no episode yet, and set up their engine."""
         choose(OBSERVATIONS, observation, "observation")
         self._task = task
         self._observation_kind = observation
@@ -66,6 +64,7 @@ class Environment:
         self._threads = threads  # maximum number in use; results do not depend on it
         self._imm_rewards = np.zeros((n, 0), np.float32)  # of the episodes, if rewards are paired
         self._begun = False
+        self._set_up_noting()
 
     def _set_up(self) -> None:
         """Create all objects that the arguments determine, for a new environment or a copy."""
@@ -194,6 +193,10 @@ class Environment:
         observations = engine.step(0, places)
         rows = info_rows(engine.at)
         return observations, {key: engine.read(rows[key]) for key in STATE_KEYS}
+
+    def _generator(self, place: int) -> np.random.Generator:
+        """Return the generator of an environment, for episodes without keys."""
+        return self._streams.generator(place)
 
     @property
     def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:

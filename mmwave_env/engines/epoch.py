@@ -403,7 +403,9 @@ def untuned(pipeline: Pipeline) -> Pipeline:
     """Return the pipeline without tunings, so that modes that differ only in tuning are equal."""
     modes = []
     for i, mode in enumerate(pipeline.modes):
-        tuning: dict[str, Any] = dict.fromkeys(Tuning._fields, 0.0) | {"coupling": False}
-        tuning["acceleration_mps2"] = float(mode.acceleration_mps2 != 0.0)
+        tuning: dict[str, Any] = dict.fromkeys(Tuning._fields, 0.0) | {
+            "coupling": False,
+            "acceleration_mps2": float(mode.acceleration_mps2 != 0.0),
+        }
         modes.append(replace(mode, name=str(i), **tuning))
     return replace(pipeline, modes=tuple(modes))

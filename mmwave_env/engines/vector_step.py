@@ -56,11 +56,12 @@ class Tally:
     """
 
     def __init__(self, n: int, axes: int) -> None:
-        interval = np.array(nees_interval(axes))
-        sums = np.zeros((n, SUMS))
-        errors = np.zeros((n, 1, 3))
-        second = np.ones(n, np.int64)
-        self.counts = Counts(sums, errors, second, interval)
+        self.counts = Counts(
+            sums=np.zeros((n, SUMS)),
+            errors=np.zeros((n, 1, 3)),
+            second=np.ones(n, np.int64),
+            interval=np.array(nees_interval(axes)),
+        )
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
         """Start k episodes, given their seconds per epoch (k,) and their numbers of epochs (k,)."""

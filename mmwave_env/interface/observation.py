@@ -120,7 +120,7 @@ class Observation:
         Raises:
             ValueError: no feature has this name.
         """
-        i = choose({feature.name: i for i, feature in enumerate(self.features)}, name, "feature")
+        i = choose({feature: i for i, feature in enumerate(self.names)}, name, "feature")
         shown = observation[..., i].astype(np.float32)
         feature = self.features[i]
         value = shown.astype(np.float64) * feature.deviation + feature.mean

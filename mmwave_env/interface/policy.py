@@ -203,7 +203,7 @@ class Switching:
     def start(self, layout: Layout, planar: bool = False) -> Policy:
         """Return a new policy for measurements with this layout; an IMM's always takes action 0."""
         if self.policy is None:
-            return FixedMode(0)
+            return FixedMode()
         return self.policy(
             Observation(self.pipeline(layout, planar), self.observation, self.beliefs)
         )

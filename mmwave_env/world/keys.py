@@ -73,12 +73,13 @@ def keys_from(keys: Any, n: int) -> Keys:
 
 def options_of(options: Any, *known: str) -> list[Any]:
     """Return the known entries of the dict in ``reset(options=...)``; None where one is missing."""
-    if options is not None and not isinstance(options, dict):
+    given = {} if options is None else options
+    if not isinstance(given, dict):
         raise ValueError(f"options: found {options!r}, expected a dict or None")
-    for name in options or {}:
+    for name in given:
         if name not in known:
             raise ValueError(unknown("options", name, known))
-    return [(options or {}).get(name) for name in known]
+    return [given.get(name) for name in known]
 
 
 class Streams:
