@@ -26,13 +26,14 @@ import numpy as np
 from scipy.special import chdtri
 
 from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import process_noise
 from mmwave_env.localization.first_position import HEIGHT_SIGMA_M
 from mmwave_env.localization.starts import gives_fix
 from mmwave_env.logs.log import PathLog
 from mmwave_env.logs.log_tables import Arrays
 from mmwave_env.models.layout import STATE_SIZE, Layout
-from mmwave_env.models.measurement import direction, doppler_group, link_group
-from mmwave_env.models.motion import COUPLED, white_noise_acceleration
+from mmwave_env.models.measurement import Epoch, direction, doppler_group, link_group
+from mmwave_env.models.motion import COUPLED
 from mmwave_env.models.prior import prior_from_fix, vector_from_link
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
@@ -265,19 +266,13 @@ class ImageFilter(ABC):
     def predicted(self, b: Belief, time_s: float) -> Belief:
         """Return the belief at a later time: x' = F x, P' = F P F' + Q."""
         dt = time_s - b.time_s
-        t = self._tuning
         x = b.x.copy()
         P = b.P.copy()
         x[USER] += dt * x[VELOCITY]
         P[USER] += dt * P[VELOCITY]
         P[:, USER] += dt * P[:, VELOCITY]
-        Q = white_noise_acceleration(
-            [t.sigma_p**2, t.sigma_p**2, t.sigma_pz**2],
-            [t.sigma_v**2, t.sigma_v**2, t.sigma_vz**2],
-            (t.sigma_b_mps * self._scene.hz_per_mps) ** 2,
-            dt,
-            t.coupling,
-        )
+        step = Epoch(dt, [], [], [], [], doppler_spread_hz=0.0)
+        Q = process_noise(self._tuning, step, self._scene.hz_per_mps, gamma=1.0, planar=False)
         learned = np.repeat([not image.exact for image in b.images], 3)
         P[np.diag_indices(len(x))] += np.append(Q.diagonal, IMAGE_NOISE_M**2 * dt * learned)
         for (i, j), covariance in zip(COUPLED, Q.coupling, strict=False):

@@ -134,11 +134,11 @@ class Localizer:
             "memory.mode" and, with a corrector, "trusted"; "kept" is the input of the smoother, and
             "level_factors" (N, T, 2) are factors of Gaussian levels.
         """
-        kept = "mixture" if self.switching.bank else SMOOTHED
+        mixes = self.switching.bank is not None
+        kept = "mixture" if mixes else SMOOTHED
         outputs = engine.run(*PARTS, "memory.mode", kept)
         parts = {name: part[: len(time_s)] for name, part in outputs.items()}
         parts["kept"] = parts[kept]
-        mixes = self.switching.bank is not None
         parts["level_factors"] = self.levels.factors(self.layout.anchors, mixes, time_s, parts)
         return parts
 

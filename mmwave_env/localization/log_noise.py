@@ -52,9 +52,9 @@ _FEWEST_CHANGES = 20  # minimum number of second differences for a median
 _ROBUST = 1.4826 / np.sqrt(6.0)  # white noise: standard deviation / median |second difference|
 
 
-def _where_measured(log: Log, values: Array) -> Array:
-    """Return values (T, rows), NaN where nothing was measured."""
-    return np.where(values_of(log), values, np.nan)
+def _measured(log: Log) -> Array:
+    """Return the values (T, rows) of a log, NaN where nothing was measured."""
+    return np.where(values_of(log), log.measurement, np.nan)
 
 
 def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float | None]:
@@ -65,7 +65,7 @@ def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float |
     steps of length q has the variance q^2 / 12.
     """
     deviations = deviations_of(log, scene, radio)[:, log.layout.ranges]
-    ranges = _where_measured(log, log.measurement)[:, log.layout.ranges]
+    ranges = _measured(log)[:, log.layout.ranges]
     gaps = np.concatenate([np.diff(np.unique(column)) for column in ranges.T])
     gaps = gaps[gaps > _SMALLEST_M]  # not NaN
     gaps = gaps[gaps < _NEAR_STEPS * gaps.min(initial=np.inf)]
@@ -86,7 +86,7 @@ def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
 
     The result is None if jumps are rare. ``sigma`` (T, rows) are standard deviations.
     """
-    change = np.diff(_where_measured(log, log.measurement)[:, log.layout.ranges], axis=0)
+    change = np.diff(_measured(log)[:, log.layout.ranges], axis=0)
     several = np.isfinite(change).sum(axis=1) >= 2
     if not several.any():
         return None
@@ -128,11 +128,11 @@ def _notes_on_angles(reading: Reading) -> Iterator[str]:
     """Yield sentences on the angles of a reading without errors."""
     log = reading.log
     sigma = reading.sigma
-    z = _where_measured(log, log.measurement)
+    z = _measured(log)
     apart = wrapped(z[:, AZIMUTH] - z[:, DEPARTURE] + np.pi)
     azimuths = apart / np.hypot(sigma[:, AZIMUTH], sigma[:, DEPARTURE])
     (w,) = innovations([reading])
-    elevations = _where_measured(log, w)[:, ELEVATION]
+    elevations = np.where(values_of(log), w, np.nan)[:, ELEVATION]
     scaled = []
     for name, columns, rows, values in (
         ("azimuths", "aoa_azimuth_sigma and aod_azimuth_sigma", AZIMUTH, azimuths),
@@ -193,7 +193,7 @@ def _deviation(log: Log, row: int) -> float:
     own = log.sigma[:, columns]
     if np.isfinite(own).any():
         return float(np.nanmedian(own))
-    change = np.diff(_where_measured(log, log.measurement)[:, columns], axis=0)
+    change = np.diff(_measured(log)[:, columns], axis=0)
     second = np.diff(wrap(change) if row else change, axis=0)
     second = abs(second[np.isfinite(second)])
     if len(second) < _FEWEST_CHANGES:

@@ -238,8 +238,7 @@ class SharedError(NamedTuple):
     rivals: Sequence[str] = ()  # names of other suspects that explain the log about as well
 
     def __str__(self) -> str:
-        numbers = (self.theta, self.sigma)
-        sizes = [", ".join(f"{number:.2f}" for number in each) for each in numbers]
+        sizes = [", ".join(f"{number:.2f}" for number in each) for each in (self.theta, self.sigma)]
         if self.suspect.parameters > 1:
             sizes = [f"({size})" for size in sizes]
         others = f" (or {', or '.join(self.rivals)})" if self.rivals else ""

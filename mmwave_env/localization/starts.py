@@ -125,10 +125,7 @@ def _position_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> tuple[Fix,
 
 def deviations_of(log: Log, scene: Scene, radio: Radio) -> Array:
     """Return the standard deviations (T, rows): the receiver's own, else the radio's."""
-    known = np.isfinite(log.sigma)
-    if known.all():
-        return log.sigma
-    return np.where(known, log.sigma, radio.sigma(log.snr_db, scene, log.layout))
+    return np.where(np.isfinite(log.sigma), log.sigma, radio.sigma(log.snr_db, scene, log.layout))
 
 
 def _latest(log: Log, epoch: int, age_s: float, scene: Scene, radio: Radio) -> tuple[Array, Array]:
