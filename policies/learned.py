@@ -52,12 +52,9 @@ class LearnedPolicy:
         self.modes = self.card.modes
         self.observation = self.card.observation
         self.beliefs = self.card.beliefs
-        tensors = self._file.tensors
-        self._width = len(self.card.features)  # number of columns in the observations
-        every: Index = np.arange(self._width)
-        nothing = np.full(self._width, np.nan, np.float32)
-        self.sight = Sight(every, nothing, tensors["low"], tensors["high"])
-        if observation is not None:
+        if observation is None:
+            self._find_in(self.card.features)
+        else:
             self.read_from(observation)
 
     def bank(self, radio: str = "handset") -> Bank:
@@ -127,7 +124,8 @@ class LearnedPolicy:
                     f"{self._made_with}"
                 )
         self._width = len(columns)
-        self.sight = self.sight._replace(columns=read, unseen=unseen)
+        tensors = self._file.tensors
+        self.sight = Sight(read, unseen, tensors["low"], tensors["high"])
 
     @property
     def _made_with(self) -> str:

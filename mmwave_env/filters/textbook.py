@@ -148,9 +148,7 @@ def mix(probability: Array, transition: Array, x: Array, P: Array) -> tuple[Arra
     joint = transition * probability[:, None]
     predicted = joint.sum(axis=0)
     weights = joint / predicted
-    means = weights.T @ x
-    covariances = [combine(column, x, P)[1] for column in weights.T]
-    return predicted, means, np.array(covariances)
+    return predicted, *combine(weights.T, x, P)
 
 
 def reweigh(predicted: Array, log_likelihood: Array) -> Array:

@@ -242,8 +242,7 @@ class Episode:
         table[:, at.signed_sigma] = np.where(keep, self.sigma, -1.0)
         table[:, at.snr_db] = np.where(links, self.snr_db, 0.0)
         if self.layout.partial:
-            first = np.zeros(len(self), np.int64)
-            anchor = first if self.doppler_anchor is None else self.doppler_anchor
+            anchor = 0 if self.doppler_anchor is None else self.doppler_anchor
             table[:, at.doppler_of] = np.eye(self.layout.anchors)[anchor]
         table[:, at.doppler_spread_hz] = self.doppler_spread_hz
         table[:, at.truth[:3]] = np.nan if position is None else position

@@ -150,9 +150,9 @@ def mobilities_of(scenario: AnyPath) -> tuple[Mobility, ...]:
     """
     if str(scenario).endswith(".json"):
         return (read_mobility(scenario),)
-    kinds = {name: (mobility,) for name, mobility in MOBILITIES.items()}
-    mixed: dict[str, tuple[Mobility, ...]] = {MIXED: tuple(MOBILITIES.values())}
-    return choose(kinds | mixed, str(scenario), "scenario", ", or a .json or .csv file")
+    kinds: dict[str, tuple[Mobility, ...]] = {name: (m,) for name, m in MOBILITIES.items()}
+    kinds[MIXED] = tuple(MOBILITIES.values())
+    return choose(kinds, str(scenario), "scenario", ", or a .json or .csv file")
 
 
 def read_mobility(path: AnyPath) -> Mobility:

@@ -70,18 +70,18 @@ class Trajectory:
     def _require_motion(self, t: Array, p: Array, v: Array | None) -> None:
         """Refuse motion that no user in streets can make; warn of a user who hardly moves."""
         step = np.diff(t, prepend=t[0] - 1.0)
-        moved = np.diff(p, axis=0, prepend=p[:1])
+        moved = np.linalg.norm(np.diff(p, axis=0, prepend=p[:1]), axis=1)
         self._require(step > 0.0, t, "t", "more than in the row before")
         near = f"at most {GAP_S:g} s after the row before; if t is in s, split the trajectory there"
         self._require(step <= GAP_S, t, "t", near)
-        speed = np.linalg.norm(moved, axis=1) / step
+        speed = moved / step
         most = f"at most {FASTEST_MPS:g} m/s"
         unit = f"{most}: is t in seconds, and are x, y in meters, not in degrees?"
         self._require(speed <= FASTEST_MPS, speed, "speed since the row before", unit)
         if v is not None:
             fast = np.linalg.norm(v, axis=1)
             self._require(fast <= FASTEST_MPS, v, "vx, vy, vz", most)
-            way = np.linalg.norm(moved, axis=1).sum()
+            way = moved.sum()
             integral = fast[1:] @ step[1:]
             if integral > 2.0 * way + STANDING_M:
                 raise ValueError(
@@ -100,7 +100,8 @@ class Trajectory:
         """Refuse values (N, ...) unless ``holds`` is True in all rows; name the first wrong row."""
         rows = holds.reshape(len(holds), -1).all(axis=1)
         if not rows.all():
-            self._refuse(int(np.argmin(rows)), part, values[np.argmin(rows)], expected)
+            row = int(np.argmin(rows))
+            self._refuse(row, part, values[row], expected)
 
     def _refuse(self, row: int, part: str, values: Array, expected: str) -> NoReturn:
         place = f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
