@@ -163,6 +163,7 @@ class Levels:
                 corrections; NaN if not corrected.
         """
         x, P, nis, accepted, rejected = [results[part] for part in PARTS]
+        trusted = results.get("trusted")
         time_s = np.broadcast_to(time_s, x.shape[:2])
         begins = time_s[:, 0]
         mean, last_x, first_s, last_s = self.memory or (np.empty(0), x[:, :1], begins, begins)
@@ -182,9 +183,9 @@ class Levels:
         lag = np.moveaxis(_relative(means[..., -5:-2], sizes[..., None, :]), -1, 0)
         turn = np.log1p(horizontal(means[..., -2:] - x[..., None, 3:5]))
         clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - first_s[:, None])
-        trusted = results.get("trusted", np.full(x.shape[:2], np.nan))
-        corrected = np.isfinite(trusted)
-        rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, trusted, 1.0), float(mixes)]
+        known = np.full(now.shape[:2], np.nan) if trusted is None else trusted
+        corrected = np.isfinite(known)
+        rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, known, 1.0), float(mixes)]
         alone = np.stack(np.broadcast_arrays(*rest), axis=-1)
         steady = means[..., :-5].reshape(*now.shape[:2], -1)
         return np.concatenate([now, alone, steady, *lag, turn], axis=-1)
