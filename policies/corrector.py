@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import Repeated
+from mmwave_env.compiler.program import Repeated, Stages
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation, observation_columns
@@ -23,7 +23,6 @@ from mmwave_env.interface.policy import (
     Correction,
     FixedMode,
     Policy,
-    Stages,
     Switching,
 )
 from mmwave_env.interface.signed import after_update
@@ -146,9 +145,10 @@ class Corrector(LearnedPolicy, CompiledPolicy):
         base = self._base
         if not isinstance(base, LearnedSwitch):
             return False
-        networks = base.sight, base.layers, self.sight, self._network
-        blocks = len(stages.states[0].rows)
-        self._play([(0, blocks)], 1, stages, *networks, *self.memory, *played)
+        self._play(
+            [(0, len(stages.states[0].rows))], 1, stages, base.sight, base.layers, self.sight,
+            self._network, *self.memory, *played,
+        )  # fmt: skip
         return True
 
 

@@ -44,7 +44,7 @@ class Unit(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """How a network reads an observation.
+    """A way in which a network reads observations.
 
     Attributes:
         columns: (features,) the features' columns in the observation.
@@ -122,21 +122,21 @@ def _linear(out, x, layer):  # type: ignore[no-untyped-def]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _read(observation, sight, seen):  # type: ignore[no-untyped-def]
-    """Set ``seen`` (features,) to an observation's features, limited to their ranges.
+def _read(observation, sight, features):  # type: ignore[no-untyped-def]
+    """Set ``features`` (features,) to an observation's features, limited to their ranges.
 
     Return how far outside its range the farthest is. A feature that is NaN becomes the lower limit,
     and the result is then NaN.
     """
     beyond = np.float32(0.0)
-    for i in range(len(seen)):
+    for i in range(len(features)):
         value = sight.unseen[i]
         if math.isnan(value):
             value = observation[sight.columns[i]]
-        seen[i] = sight.low[i]
+        features[i] = sight.low[i]
         if value > sight.low[i]:
-            seen[i] = min(value, sight.high[i])
-        outside = abs(value - seen[i])
+            features[i] = min(value, sight.high[i])
+        outside = abs(value - features[i])
         if outside > beyond or math.isnan(outside):
             beyond = outside  # once NaN, it stays NaN
     return beyond
@@ -148,9 +148,9 @@ def _look(observation, sight, layer, front):  # type: ignore[no-untyped-def]
 
     If a feature is NaN, the trust is 0.
     """
-    seen = np.empty(len(sight.low), np.float32)
-    beyond = _read(observation, sight, seen)
-    _linear(front, seen, layer)
+    features = np.empty(len(sight.low), np.float32)
+    beyond = _read(observation, sight, features)
+    _linear(front, features, layer)
     squash(front)
     if math.isnan(beyond):
         return np.float32(0.0)
@@ -256,7 +256,7 @@ def play_epochs(  # type: ignore[no-untyped-def]
 
     Args:
         begin, end: first block of the tracks, and the block after the last.
-        stages: the programs of an epoch (:class:`~mmwave_env.interface.policy.Stages`).
+        stages: the programs of an epoch (:class:`~mmwave_env.compiler.program.Stages`).
         base_sight, layers: as for :func:`weigh_epoch`.
         sight, network, memory, trust: as for :func:`correct_epoch`.
         actions, outputs, trusted: (n, T), (n, T, k), (n, T) filled with the numbers of the modes,

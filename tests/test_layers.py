@@ -73,7 +73,7 @@ def imports(path):
 PACKAGES = ("mmwave_env", "policies", "experiments")
 ANY = "any module"
 READ = re.compile(r"files\(\"(policies|experiments)")  # reading a file of these packages
-BY_NAME = re.compile(r"\b(import_module|__import__|run_module)$")
+BY_NAME = re.compile(r"\b(import_module|__import__|run_module|resolve_name)$")
 
 
 @cache

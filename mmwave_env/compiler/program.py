@@ -144,6 +144,22 @@ class StepIO(NamedTuple):
         return cls(input_rows, inputs, output_rows, outputs, obs_rows, observations)
 
 
+class Stages(NamedTuple):
+    """The programs of an epoch, between which a compiled policy acts and corrects n tracks.
+
+    Attributes:
+        runs: addresses of the programs that filter, decide and correct.
+        io: their inputs and outputs, of one epoch.
+        blank: as for :func:`~mmwave_env.compiler.advance.advance`.
+        states: the state to filter the next epoch; and to go on with that epoch.
+    """
+
+    runs: tuple[int, ...]
+    io: StepIO
+    blank: Array
+    states: tuple[BatchState, BatchState]
+
+
 class Program(Generic[Workspace]):
     """A function of numbers, compiled or read from disk at its first use, and its workspace.
 

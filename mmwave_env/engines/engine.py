@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import NO_ROWS, Program, StepIO, rows_of
+from mmwave_env.compiler.program import NO_ROWS, Program, Stages, StepIO, rows_of
 from mmwave_env.engines.batch import ALL, Batch, Places
 from mmwave_env.engines.epoch import (
     Asked,
@@ -33,7 +33,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE, WEIGHTS
 from mmwave_env.interface.features import Feature
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.policy import CompiledPolicy, Policy, Rule, Stages, policy_from
+from mmwave_env.interface.policy import CompiledPolicy, Policy, Rule, policy_from
 from mmwave_env.interface.reward import Reward
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.numerics.pytree import flatten

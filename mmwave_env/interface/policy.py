@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import BatchState, StepIO
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -77,30 +76,15 @@ class Policy(Protocol):
         return None
 
 
-class Stages(NamedTuple):
-    """The programs of an epoch, between which a compiled policy acts and corrects n tracks.
-
-    Attributes:
-        runs: addresses of the programs that filter, decide and correct.
-        io: their inputs and outputs, of one epoch.
-        blank: as for :func:`~mmwave_env.compiler.advance.advance`.
-        states: the state to filter the next epoch; and to go on with that epoch.
-    """
-
-    runs: tuple[int, ...]
-    io: StepIO
-    blank: Array
-    states: tuple[BatchState, BatchState]
-
-
 class CompiledPolicy(Policy):
     """A policy that corrects beliefs, and can play tracks in one call of compiled code."""
 
     @abstractmethod
-    def play(self, stages: Stages, actions: Index, outputs: Array, trusted: Array) -> bool:
+    def play(self, stages: Any, actions: Index, outputs: Array, trusted: Array) -> bool:
         """Play the next T epochs of n tracks; return False if that is impossible.
 
-        The arrays (n, T), (n, T, k), (n, T) are filled with actions, the output rows, and the
+        ``stages`` are a :class:`~mmwave_env.compiler.program.Stages`. The arrays (n, T), (n, T, k),
+        (n, T) are filled with actions, the output rows, and the
         factors that scaled the corrections.
         """
 

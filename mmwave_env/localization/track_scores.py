@@ -117,14 +117,13 @@ def group_statistics(log: Log, accepted: Mask, nis: Array) -> dict[str, dict[str
     measured = np.isfinite(log.measurement)
     rows = np.add.reduceat(measured, layout.starts, axis=1, dtype=np.int64)
     low, high = np.array([nees_interval(max(n, 1)) for n in range(5)]).T[:, rows]
-    inside = accepted & (nis >= low) & (nis <= high)
     counted = (
         visible,
         visible & ~accepted,
         log.incomplete,
         accepted * rows,
         accepted * nis,
-        inside,
+        accepted & (nis >= low) & (nis <= high),
     )
     sums = np.array([part.sum(axis=0) for part in counted], float)
     columns = [*sums.T, sums.sum(axis=1)]
