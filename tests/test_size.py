@@ -29,11 +29,11 @@ BUDGET = {
 }
 ROOMS = {  # maximum tokens of a room; lines are free
     "experiments": 3_060,
-    "experiments/console": 3_840,
+    "experiments/console": 3_930,
     "experiments/evaluation": 11_640,
     "experiments/paper": 4_070,
     "experiments/reporting": 13_800,
-    "experiments/sweeping": 2_480,
+    "experiments/sweeping": 2_540,
     "experiments/timing": 3_500,
     "experiments/training": 16_620,
     "mmwave_env": 6_180,
@@ -49,8 +49,8 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/numerics": 3_590,
     "mmwave_env/rendering": 7_330,
     "mmwave_env/world": 15_420,
-    "policies": 6_710,
-    "tests": 207_590,
+    "policies": 7_230,
+    "tests": 208_300,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")

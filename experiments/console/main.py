@@ -10,7 +10,7 @@ import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from io import TextIOWrapper
 from pathlib import Path
@@ -39,7 +39,7 @@ RESULTS = {  # option -> ending of its file
     "write": ".json",
 }
 # options that name files to be written
-WRITTEN = ("json", "episodes_csv", "map_out", "write", "out", "errors", "consistency")
+WRITTEN = (*RESULTS, "out", "errors", "consistency")
 EVERYWHERE = {  # options of every command
     "--quiet": "show neither tables nor progress, only warnings and errors",
     "--debug": "if something fails, show where in the program (a traceback)",
@@ -112,23 +112,22 @@ def _errors_in_one_line(program: str, debug: bool = False) -> Iterator[None]:
         _leave(128 + number)
 
 
-def _require_own_files(options: Mapping[str, Any]) -> None:
+def _require_own_files(args: Any) -> None:
     """Refuse a file of results that another option names, too.
 
     Raises:
         ValueError: there is one.
     """
     named = {
-        (option, Path(word).resolve())
-        for option, value in options.items()
+        (option.replace("_", "-"), Path(word).resolve())
+        for option, value in vars(args).items()
         for word in (value if isinstance(value, tuple) else (value,))
         if isinstance(word, str | Path)
     }
     for option in WRITTEN:
         for other, path in named:
             if other != option and (option, path) in named:
-                name = option.replace("_", "-")
-                raise ValueError(f"{name}: found {path}, expected another file than for {other}")
+                raise ValueError(f"{option}: found {path}, expected another file than for {other}")
 
 
 def run(name: str, words: Sequence[str]) -> None:
@@ -146,7 +145,7 @@ def run(name: str, words: Sequence[str]) -> None:
 
         QUIET.set(quiet)
         with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere if quiet else sys.stdout):
-            _require_own_files(vars(args))
+            _require_own_files(args)
             for option, ending in RESULTS.items():
                 path = getattr(args, option.replace("-", "_"), None)  # not every command has it
                 if path is None:

@@ -130,8 +130,12 @@ def _name(kind: str, cell: Values) -> str:
     policy = cell.get("policy", "")
     if is_agent(policy):
         paths.append(module_file(policy))
-    paths += [inner for path in paths if path.is_dir() for inner in sorted(path.rglob("*"))]
-    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths if path.is_file()]
+    files = [
+        hashlib.sha256(file.read_bytes()).hexdigest()
+        for path in paths
+        for file in (path, *sorted(path.rglob("*")))
+        if file.is_file()
+    ]
     work = json.dumps([__version__, kind, sorted(cell.items()), files], default=repr)
     return hashlib.sha256(work.encode()).hexdigest()[:16]
 

@@ -5,7 +5,7 @@ A *place* is a scene with a radio and a rate of epochs.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 from experiments.console.options import TaskArgs, WorldArgs
 from experiments.evaluation.contenders import source_of
@@ -16,8 +16,6 @@ from mmwave_env.interface.reward import LogScore, Reward, TrackingReward
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
-
-Options = TypeVar("Options", bound=TaskArgs)
 
 
 @dataclass(frozen=True)
@@ -156,7 +154,7 @@ def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dic
     return {place.profile: bank_from(modes or None, place.radio) for place in places}
 
 
-def with_beliefs(args: Options) -> Options:
+def with_beliefs(args: Any) -> Any:
     """Return options with the beliefs that the algorithm needs."""
     return replace(args, beliefs="per-mode") if args.algo in ("corrector", "two-way") else args
 

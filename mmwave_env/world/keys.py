@@ -73,13 +73,13 @@ def keys_from(keys: Any, n: int) -> Keys:
 
 def options_of(options: Any, *known: str) -> list[Any]:
     """Return the known entries of the dict in ``reset(options=...)``; None where one is missing."""
-    given = {} if options is None else options
-    if not isinstance(given, dict):
+    named = {} if options is None else options
+    if not isinstance(named, dict):
         raise ValueError(f"options: found {options!r}, expected a dict or None")
-    for name in given:
+    for name in named:
         if name not in known:
             raise ValueError(unknown("options", name, known))
-    return [given.get(name) for name in known]
+    return [named.get(name) for name in known]
 
 
 class Streams:
