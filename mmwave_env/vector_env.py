@@ -106,7 +106,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self.single_action_space = space_of(self._limits, len(self.observation.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._places = np.arange(num_envs)
         self._none_over = np.zeros(num_envs, np.bool_)
