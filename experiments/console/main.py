@@ -5,6 +5,7 @@ function ``main``. Options are read before slow imports, so help and errors appe
 """
 
 import importlib
+import itertools
 import os
 import signal
 import sys
@@ -118,16 +119,15 @@ def _require_own_files(args: Any) -> None:
     Raises:
         ValueError: there is one.
     """
-    named = {
-        (option.replace("_", "-"), Path(word).resolve())
+    named = [
+        (option.replace("_", "-"), Path(word))
         for option, value in vars(args).items()
         for word in (value if isinstance(value, tuple) else (value,))
         if isinstance(word, str | Path)
-    }
-    for option in WRITTEN:
-        for other, path in named:
-            if other != option and (option, path) in named:
-                raise ValueError(f"{option}: found {path}, expected another file than for {other}")
+    ]
+    for (option, path), (other, read) in itertools.permutations(named, 2):
+        if option in WRITTEN and option != other and path.resolve() == read.resolve():
+            raise ValueError(f"{option}: found {path}, expected another file than for {other}")
 
 
 def run(name: str, words: Sequence[str]) -> None:

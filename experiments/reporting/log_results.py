@@ -230,7 +230,7 @@ def check_options(args: LogArgs, files: Inputs) -> None:
     Levels(args.risk, args.levels)  # raises if the risk or the kind is invalid
     if args.plot is not None:
         require_picture("plot", args.plot)
-    read = [*files.earlier, files.log, files.scene, files.truth, args.modes, args.imm, args.radio]
+    read = [*files.earlier, files.log, files.scene, files.truth]
     taken = {Path(file).resolve() for file in read if file}
     for option, path, _ in _outputs(args):
         if path.resolve() in taken:

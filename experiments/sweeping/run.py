@@ -126,7 +126,7 @@ def _name(kind: str, cell: Values) -> str:
     """
     values = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in cell.values()))
     words = [value for value in values if isinstance(value, str)]
-    paths = [Path(part) for word in words for part in (word, *word.split(":")) if part]
+    paths = [Path(part) for word in words for part in word.split(":") if part]
     policy = cell.get("policy", "")
     if is_agent(policy):
         paths.append(module_file(policy))
