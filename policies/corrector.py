@@ -97,7 +97,6 @@ class Corrector(LearnedPolicy, CompiledPolicy):
         self._run = Repeated(correct_epoch)
         self._play = Repeated(play_epochs)
         self._base = base_policy(file.card.base)
-        self._forget(0)
         super().__init__(file, observation)
 
     def read_from(self, observation: Observation) -> None:
@@ -107,17 +106,16 @@ class Corrector(LearnedPolicy, CompiledPolicy):
 
     def reset(self, mask: Mask) -> None:
         """Forget the past of environments where ``mask`` is True, as a new episode begins."""
+        self._begin(len(mask))
         hidden, trust = self.memory
-        if len(mask) != len(trust):
-            self._forget(len(mask))
-            return
         hidden[mask] = 0.0
         trust[mask] = 1.0
 
-    def _forget(self, n: int) -> None:
-        """Make the memory of n new tracks: the network's hidden units, and its trust."""
-        units = len(self._network.units[0].of_state.weight)
-        self.memory = np.zeros((n, units), np.float32), np.ones(n, np.float32)
+    def _begin(self, n: int) -> None:
+        """Begin n new tracks, unless there are n: make hidden units and the trust of each."""
+        if not self.memory or n != len(self.memory[1]):
+            units = len(self._network.units[0].of_state.weight)
+            self.memory = np.zeros((n, units), np.float32), np.ones(n, np.float32)
 
     def act(self, observation: Array32) -> Index:
         """Return the base's actions (n,) for observations (n, features)."""
@@ -131,8 +129,7 @@ class Corrector(LearnedPolicy, CompiledPolicy):
         """
         observations = self._checked(observation)
         n = len(observations)
-        if n != len(self.memory[1]):
-            self._forget(n)
+        self._begin(n)
         answers = np.empty((n, CORRECTIONS), np.float32)
         trusted = np.empty(n, np.float32)
         self._run(
@@ -143,8 +140,9 @@ class Corrector(LearnedPolicy, CompiledPolicy):
     def play(self, stages: Stages, *played: NDArray[Any]) -> bool:
         """Play the next epochs (:class:`~mmwave_env.interface.policy.CompiledPolicy`)."""
         base = self._base
-        if not isinstance(base, LearnedSwitch):
-            return False
+        if type(self) is not Corrector or not isinstance(base, LearnedSwitch):
+            return False  # a user's subclass may act and correct otherwise
+        self._begin(len(played[0]))
         self._play(
             [(0, len(stages.states[0].rows))], 1, stages, base.sight, base.layers, self.sight,
             self._network, *self.memory, *played,

@@ -242,8 +242,7 @@ def correct_epoch(begin, end, observations, sight, network, state, trust, answer
     """
     front = np.empty(len(network.front.bias), np.float32)
     for i in range(begin, end):
-        inside = _look(observations[i], sight, network.front, front)
-        trust[i] = min(inside, trust[i] + RECOVERY)
+        trust[i] = min(_look(observations[i], sight, network.front, front), trust[i] + RECOVERY)
         _remember(front, network.units[0], state[i])
         trusted[i] = _answer(state[i], front, trust[i], network, answers[i])
 

@@ -160,10 +160,6 @@ class Without(Corrector):
         names = [column.name for column in table.columns]
         self._others = [i for i, name in enumerate(names) if name.startswith(begins)]
 
-    def play(self, *_: Any) -> bool:
-        """Leave the epochs to :meth:`correct`."""
-        return False
-
     def correct(self, observation: NDArray[np.float32]) -> Correction:
         """Correct with some columns from the same epoch of another episode."""
         mixed = observation.copy()

@@ -125,8 +125,8 @@ def _name(kind: str, cell: Values) -> str:
     Values may name files, folders, modules of agents, and places with files.
     """
     values = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in cell.values()))
-    words = [value for value in values if isinstance(value, str)]
-    paths = [Path(part) for word in words for part in word.split(":") if part]
+    words = ":".join(value for value in values if isinstance(value, str)).split(":")
+    paths = [*map(Path, filter(None, words))]
     policy = cell.get("policy", "")
     if is_agent(policy):
         paths.append(module_file(policy))
@@ -145,11 +145,8 @@ def _axes(kind: type[Any], table: Values, others: Values, where: str) -> Axes:
     axes: Axes = {}
     for key, content in table.items():
         several = isinstance(content, list)
-        if several and key in (
-            "modes",
-            "places",
-            "measurements",
-        ):  # each of their values is itself a list
+        # each value of these keys is itself a list
+        if several and key in ("modes", "places", "measurements"):
             several = all(isinstance(value, list) for value in content)
         listed = content if several else [content]
         values = [tuple(value) if isinstance(value, list) else value for value in listed]

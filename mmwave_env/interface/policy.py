@@ -84,8 +84,7 @@ class CompiledPolicy(Policy):
         """Play the next T epochs of n tracks; return False if that is impossible.
 
         ``stages`` are a :class:`~mmwave_env.compiler.program.Stages`. The arrays (n, T), (n, T, k),
-        (n, T) are filled with actions, the output rows, and the
-        factors that scaled the corrections.
+        (n, T) are filled with actions, output rows, and the factors that scaled the corrections.
         """
 
 

@@ -163,6 +163,8 @@ def test_compiled_play_equals_the_verbs_called_epoch_by_epoch():
         pipeline = switching.pipeline(batch.layout, planar=False)
         engine = Engine(pipeline, 11, None, "signed", switching.bank, policy=policy)
         engine.load(batch)
+        if is_compiled:
+            policy.reset(np.ones(3, bool))  # by mistake: play must begin eleven tracks
         parts = [play(engine, policy, epochs, ["x", "P", "memory.nis"]) for epochs in (12, 18)]
         played.append({name: np.hstack([part[name] for part in parts]) for name in parts[0]})
     assert np.ptp(played[0]["mode"]) > 0 and np.ptp(played[0]["trusted"]) > 0.0
