@@ -331,7 +331,7 @@ def play(
     trusted = np.empty((n, epochs))
     is_played = (
         isinstance(policy, CompiledPolicy)
-        and not len(columns)
+        and not columns.size
         and policy.play(engine.stages(output_rows), actions, outputs, trusted)
     )
     for t in range(0 if is_played else epochs):
@@ -346,11 +346,11 @@ def play(
             trusted[:, t] = correction.trusted
         else:
             observations, outputs[:, t] = engine.decide(acted, output_rows, scored)
-        if len(columns):
+        if columns.size:
             features[:, t] = observations[:, columns]
     parts = engine.program.by_name(read, outputs)
     played: dict[str, Any] = dict(zip(names, parts.values(), strict=True))
     played["mode"] = actions
-    if len(columns):
+    if columns.size:
         played["features"] = features
     return played | {"trusted": trusted} if corrects else played
