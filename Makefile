@@ -80,7 +80,6 @@ dist: .venv/.dev ## what would be published, checked: sdist and wheel, their met
 	cd .venv-dist && env -u PYTHONPATH bin/mmwave-loc --help
 	cd .venv-dist && env -u PYTHONPATH bin/mmwave-loc compare --policies imm --episodes 10
 
-# Each examples/NAME.txt lists the libraries of some examples; they agree on no common set.
 examples: ## every example with its library, at the version of docs/own-agent.md; CLIENTS="..." chooses
 	@for name in $(CLIENTS); do $(MAKE) --no-print-directory -B .venv-examples/.ready NAME=$$name && \
 		.venv-examples/bin/python -m pytest -m slow tests/test_examples.py --durations=0 || exit 1; done
@@ -128,8 +127,9 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@$(@D)/bin/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
-.venv-examples/.ready: examples/$(NAME).txt
+.venv-examples/.ready: pyproject.toml # NAME: one of its dependency groups
 	$(MAKE_VENV)
-	@grep -q 'deepmimo' $< || $(@D)/bin/python -m pip install $(TORCH)
-	@$(@D)/bin/python -m pip install --quiet -r $< --editable . pytest
+	@$(@D)/bin/python -m pip install --quiet --upgrade pip
+	@test $(NAME) = deepmimo || $(@D)/bin/python -m pip install $(TORCH)
+	@$(@D)/bin/python -m pip install --quiet --group $(NAME) --editable . pytest
 	@touch $@

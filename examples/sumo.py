@@ -5,7 +5,7 @@ mmwave-loc compare --policies fixed-ekf imm --scenario ways.csv --episode-steps 
 
 The first argument is the XML file of `sumo --fcd-output`, which may be gzipped. With --make the
 program makes this file first: vehicles and pedestrians move at random through a grid of streets
-with traffic lights (this needs pip install -r examples/sumo.txt).
+with traffic lights (this needs pip install --group sumo).
 """
 
 import argparse

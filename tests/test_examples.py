@@ -10,6 +10,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, distribution
 from types import SimpleNamespace
@@ -161,9 +162,10 @@ def test_a_localizer_learns(localizer):
 
 
 def test_the_docs_list_every_example_with_pinned_versions():
-    files = [ROOT / "constraints.txt", *FOLDER.glob("*.txt")]
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["dependency-groups"]
+    shared = (ROOT / "constraints.txt").read_text().splitlines()
     pins = re.findall(
-        r"^([\w-]+)(?:\[.*\])?==(\S+)$", "\n".join(f.read_text() for f in files), re.M
+        r"^([\w-]+)(?:\[.*\])?==(\S+)$", "\n".join(sum(groups.values(), shared)), re.M
     )
     row = r"^\| .+? \| `([\w-]+) ([\d.]+)` \|.*\(\.\./examples/(\w+)\.py\)"
     rows = re.findall(row, (ROOT / "docs" / "own-agent.md").read_text("utf-8"), re.M)
@@ -261,7 +263,7 @@ def test_sumo_makes_traffic(tmp_path):
     try:
         distribution("eclipse-sumo")
     except PackageNotFoundError:
-        pytest.skip("needs examples/sumo.txt")
+        pytest.skip("needs pip install --group sumo")
     run(FOLDER / "sumo.py", "--make", 120, "town.xml.gz", "ways.csv", "--least", 40, cwd=tmp_path)
     assert len(read_ways(tmp_path / "ways.csv").trajectories) > 9
 
@@ -324,7 +326,7 @@ def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
 
 @pytest.mark.slow
 def test_tracing_a_shipped_recording_again_gives_the_same_measurements(tmp_path):
-    pytest.importorskip("sionna.rt", reason="needs examples/raytrace.txt")
+    pytest.importorskip("sionna.rt", reason="needs pip install --group raytrace")
     shipped = RECORDINGS / "canyon28_walk_ride_walk"
     run(FOLDER / "raytrace.py", shipped / "trajectory.csv", tmp_path / "again", cwd=tmp_path)
     again = read_deepmimo(tmp_path / "again")
