@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
-from mmwave_env.metrics import BURN_IN, METRICS, nees_interval, scored, summary
+from mmwave_env.engines.vector_step import Tally, count
+from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS, nees_interval, scored, summary
 
 EPOCHS = 200
 TOLERANCE = 1e-9
@@ -126,3 +127,29 @@ def test_an_error_above_50_m_or_nan_at_any_epoch_counts_as_divergence(error_m, d
     _, error, nees = columns(episodes=1)
     error[0, 100] = [error_m, 0.0, 0.0]
     assert summary(error, nees)["divergence_rate"] == [diverged]
+
+
+@pytest.mark.parametrize("lost", [False, True])
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("dt", [1e-9, 0.1, 0.3, 1.0, 2.5])
+@pytest.mark.parametrize("epochs", [1, 5, 10, 11, 12, 25, 200])
+def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes, lost):
+    """Check also an episode that has diverged because an error in its middle is NaN."""
+    rng = np.random.default_rng(epochs)
+    tally = Tally(3, axes)
+    where = np.array([1])
+    for _ in range(2):  # the first episode does not affect the second
+        tally.begin(where, np.array([dt]), np.array([epochs]))
+        errors = rng.normal(0.0, 20.0, (epochs, 3))
+        nees = rng.chisquare(axes, epochs)
+        if lost:
+            errors[epochs // 2] = np.nan
+        for k, (error, number) in enumerate(zip(errors, nees, strict=True)):
+            count(tally.counts, 1, k, *error, number)
+        metrics = tally.metrics(where, np.array([epochs]))
+    expected = summary(errors, nees, max(1.0, round(1.0 / dt)), axes)
+    assert {key: value.item() for key, value in metrics.items()} == pytest.approx(
+        {key: float(expected[key]) for key in INFO_KEYS}, rel=1e-12, nan_ok=True
+    )
+    assert not tally.counts.sums[[0, 2]].any()
+    assert tally.counts.errors.shape[1] <= epochs  # no longer than the episode, if < 1 s
