@@ -91,8 +91,8 @@ def test_smoothed_tracks_equal_the_textbook(planar, clock):
             x[e], unpacked(P[e]), unpacked(P_predicted[e]), times, free, drive
         )
         for smoothed_x, smoothed_P in (smoothed, by_modes):
-            assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
-            assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
+            assert_allclose(smoothed_x[e], expected_x, rtol=1e-9, atol=1e-9)
+            assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-8, atol=1e-9)
 
 
 @pytest.mark.slow
