@@ -141,8 +141,11 @@ def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: P
             inside = np.sort(chdtr(dof, values), axis=None)
             shares = np.searchsorted(inside, _SHARES, "right") / inside.size
             whole.plot(_SHARES, shares, label=printable(name))
-        label = f"mean NEES / {dof}, of {episodes:,} episodes"
-        over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
+        over_time.set(
+            xlabel="time since the start (s)",
+            yscale="log",
+            ylabel=f"mean NEES / {dof}, of {episodes:,} episodes",
+        )
         plain_numbers(over_time.yaxis)
         whole.set(
             xlabel="probability p",
@@ -179,7 +182,8 @@ def draw_trajectory(
     """
     shown = slice(None, None, -(-len(track) // POINTS))
     track = track.part(shown)
-    truth_m = truth_m[shown]
+    truth_m = truth_m[shown].copy()
+    truth_m[1:][np.diff(track.segment) > 0] = np.nan  # lines break where a segment begins
     heights = [5.0, 1.8, 0.2 * len(track.modes) + 0.1]
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
         above, errors, modes = figure.subplots(3, 1, height_ratios=heights)
@@ -187,8 +191,9 @@ def draw_trajectory(
         time = track.time_s - track.time_s[0]
         error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
         sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
-        label = "2 standard deviations"
-        errors.fill_between(time, 0.0, 2.0 * sigma, color="C2", alpha=0.35, lw=0.0, label=label)
+        errors.fill_between(
+            time, 0.0, 2.0 * sigma, color="C2", alpha=0.35, lw=0.0, label="2 standard deviations"
+        )
         if np.isfinite(error).any():
             errors.plot(time, error, color="black", lw=0.8, label="error")
         errors.set(ylabel="position error (m)", ylim=(0.0, None))
@@ -198,8 +203,11 @@ def draw_trajectory(
         modes.set_yticks(range(len(track.modes)), map(printable, track.modes))
         modes.set_xlabel("time since the first epoch (s)")
         figure.legend(handles=labelled([above, errors]), loc="outside right center")
-        lines = textwrap.wrap(printable(title), TITLE_LETTERS, break_on_hyphens=False)
-        figure.suptitle("\n".join(lines), x=0.02, ha="left")
+        figure.suptitle(
+            "\n".join(textwrap.wrap(printable(title), TITLE_LETTERS, break_on_hyphens=False)),
+            x=0.02,
+            ha="left",
+        )
 
 
 def _draw_above(
@@ -216,8 +224,7 @@ def _draw_above(
     for number in np.unique(mode):
         label = f"estimate, {printable(track.modes[number])}"
         chosen = steps[whole & (mode[1:] == number)]
-        lines = LineCollection(chosen, color=f"C{number}", lw=1.4, label=label)
-        axes.add_collection(lines)
+        axes.add_collection(LineCollection(chosen, color=f"C{number}", lw=1.4, label=label))
     _draw_ellipses(axes, track)
     axes.plot(*position[0], "o", color="black", ms=5, label="start")
     _draw_scene(axes, position, scene, learned)
@@ -231,11 +238,11 @@ def _draw_ellipses(axes: Any, track: Track) -> None:
     P = track.smooth_P[at]
     deviations = np.sqrt(chdtri(2, 0.05))
     longest = deviations * axes_of(P)[0]
-    extent = float(np.ptp(track.smooth_x[:, :2], axis=0).max())
-    wanted = _VISIBLE * extent / max(float(np.median(longest)), 1e-9)
+    extent = np.ptp(track.smooth_x[:, :2], axis=0).max()
+    wanted = _VISIBLE * extent / max(np.median(longest), 1e-9)
     enlarged = int(np.clip(wanted, 1.0, _MOST_ENLARGED))
     for ring in ellipse(track.smooth_x[at, :2], P, enlarged * deviations, 48):
-        axes.fill(*ring.T, fc="none", ec="black", lw=0.8, ls="-")
+        axes.fill(*ring.T, fc="none", ec="black", lw=0.8)
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 
@@ -247,7 +254,7 @@ def _draw_scene(axes: Any, position: Array, scene: Scene, learned: Sequence[Json
     """
     low = position.min(axis=0)
     high = position.max(axis=0)
-    margin = max(float((high - low).max()), 30.0)
+    margin = max((high - low).max(), 30.0)
 
     def is_near(point: Array) -> bool:
         return bool(((low - margin < point) & (point < high + margin)).all())

@@ -1,5 +1,6 @@
 """Tests that pictures can be drawn with any names in them, and that drawing is reproducible."""
 
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -23,12 +24,12 @@ T = 50
 ONES = np.ones((T, 3))
 
 
-def draw_track(name, path, position_m, scene=SCENES["street"], learned=()):
-    """Draw a track in which a mode of this name and another one take turns."""
+def draw_track(name, path, position_m, scene=SCENES["street"], learned=(), gap=T):
+    """Draw a track in which a mode of this name and another one take turns; maybe with a gap."""
     block, _ = beginning(LogArgs(sample="canyon28_pedestrian", imm="imm"), T)
     P = np.tile(pack(0.01 * np.eye(7)), (T, 1))
     mode = np.arange(T) // 20 % 2
-    states = {"smooth_x": position_m, "smooth_P": P, "mode": mode, "segment": np.zeros(T, int)}
+    states = {"smooth_x": position_m, "smooth_P": P, "mode": mode, "segment": np.arange(T) // gap}
     track = replace(block, modes=[name, "ukf"], **states)
     draw_trajectory(track, position_m + 0.1, scene, path, name, learned)
 
@@ -113,6 +114,13 @@ def test_small_ellipses_are_enlarged_and_the_picture_says_so(tmp_path):
         draw_track(name, tmp_path / f"{name}.svg", position)
     assert "enlarged" not in (tmp_path / "still.svg").read_text()
     assert "enlarged" in (tmp_path / "moving.svg").read_text()
+
+
+def test_the_truth_is_not_drawn_through_a_gap(tmp_path):
+    draw_track("ekf", tmp_path / "gap.svg", np.cumsum(ONES, axis=0), gap=30)
+    paths = re.findall(r'<path d="([^"]*)"[^>]*opacity: 0.25', (tmp_path / "gap.svg").read_text())
+    truth = max(paths, key=len)  # others are in the legend
+    assert truth.count("M") == 2
 
 
 def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):
