@@ -245,7 +245,10 @@ def _outputs(args: LogArgs) -> list[tuple[str, Path, str]]:
     tables = dict.fromkeys(table for table in map(table_beside, args.out) if table not in args.out)
     files = [
         *(("out", out, f"{_kind(args)} track") for out in args.out),
-        *(("the table of --out", t, "table of standard deviations and modes") for t in tables),
+        *(
+            ("the table that --out also writes", t, "table of standard deviations and modes")
+            for t in tables
+        ),
         ("plot", args.plot, "picture"),
         ("map-out", args.map_out, "scene with the learned images"),
         ("json", args.json, ""),
