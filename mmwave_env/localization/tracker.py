@@ -94,6 +94,7 @@ class Tracker:
     (:mod:`mmwave_env.localization.starts`), some epochs later.
 
     ```python
+    >>> import policies
     >>> tracker = Tracker("street", policy=policies.load("corrector"))
     >>> rows = [{"time_s": 0.0, "anchor": 1, "range_m": 71.2, "aoa_azimuth_deg": -45.1,
     ...          "aoa_elevation_deg": -6.9, "aod_azimuth_deg": 134.8, "snr_db": 22.0}]
