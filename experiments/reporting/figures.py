@@ -139,8 +139,11 @@ def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: P
         for name, values in nees.items():
             over_time.plot(time_s, values.mean(axis=0) / dof)
             inside = np.sort(chdtr(dof, values), axis=None)
-            shares = np.searchsorted(inside, _SHARES, "right") / inside.size
-            whole.plot(_SHARES, shares, label=printable(name))
+            whole.plot(
+                _SHARES,
+                np.searchsorted(inside, _SHARES, "right") / inside.size,
+                label=printable(name),
+            )
         over_time.set(
             xlabel="time since the start (s)",
             yscale="log",
@@ -183,12 +186,14 @@ def draw_trajectory(
     shown = slice(None, None, -(-len(track) // POINTS))
     track = track.part(shown)
     truth_m = truth_m[shown].copy()
-    truth_m[1:][np.diff(track.segment) > 0] = np.nan  # lines break where a segment begins
+    time = track.time_s - track.time_s[0]
+    begins = np.diff(track.segment, prepend=0) > 0
+    truth_m[begins] = np.nan  # lines break at gaps
+    time[begins] = np.nan
     heights = [5.0, 1.8, 0.2 * len(track.modes) + 0.1]
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
         above, errors, modes = figure.subplots(3, 1, height_ratios=heights)
         _draw_above(above, track, truth_m, scene, learned)
-        time = track.time_s - track.time_s[0]
         error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
         sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
         errors.fill_between(
@@ -222,9 +227,14 @@ def _draw_above(
     if np.isfinite(truth_m).any():
         axes.plot(*truth_m[:, :2].T, color="black", alpha=0.25, label="truth", lw=4.0)
     for number in np.unique(mode):
-        label = f"estimate, {printable(track.modes[number])}"
-        chosen = steps[whole & (mode[1:] == number)]
-        axes.add_collection(LineCollection(chosen, color=f"C{number}", lw=1.4, label=label))
+        axes.add_collection(
+            LineCollection(
+                steps[whole & (mode[1:] == number)],
+                color=f"C{number}",
+                lw=1.4,
+                label=f"estimate, {printable(track.modes[number])}",
+            )
+        )
     _draw_ellipses(axes, track)
     axes.plot(*position[0], "o", color="black", ms=5, label="start")
     _draw_scene(axes, position, scene, learned)
@@ -237,14 +247,21 @@ def _draw_ellipses(axes: Any, track: Track) -> None:
     at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
     P = track.smooth_P[at]
     deviations = np.sqrt(chdtri(2, 0.05))
-    longest = deviations * axes_of(P)[0]
-    extent = np.ptp(track.smooth_x[:, :2], axis=0).max()
-    wanted = _VISIBLE * extent / max(np.median(longest), 1e-9)
-    enlarged = int(np.clip(wanted, 1.0, _MOST_ENLARGED))
+    typical = np.median(deviations * axes_of(P)[0])
+    wanted = _VISIBLE * np.ptp(track.smooth_x[:, :2], axis=0).max()
+    enlarged = int(np.clip(wanted / max(typical, 1e-9), 1.0, _MOST_ENLARGED))
     for ring in ellipse(track.smooth_x[at, :2], P, enlarged * deviations, 48):
-        axes.fill(*ring.T, fc="none", ec="black", lw=0.8)
-    label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
-    axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
+        axes.fill(*ring.T, fc="none", ec="black", lw=0.8, ls="-")
+    axes.plot(
+        [],
+        [],
+        "o",
+        mfc="none",
+        mec="black",
+        mew=0.8,
+        ms=8,
+        label="95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else ""),
+    )
 
 
 def _draw_scene(axes: Any, position: Array, scene: Scene, learned: Sequence[Json]) -> None:
@@ -259,11 +276,16 @@ def _draw_scene(axes: Any, position: Array, scene: Scene, learned: Sequence[Json
     def is_near(point: Array) -> bool:
         return bool(((low - margin < point) & (point < high + margin)).all())
 
-    for number, anchor in enumerate(scene.anchors_m[:, :2], start=1):
+    for number, anchor in enumerate(scene.anchors_m[:, :2], 1):
         if is_near(anchor):
-            name = f"anchor {number}" if number > 1 else "gNB"
             axes.plot(*anchor, "^", color="black", ms=8, mfc="white" if number > 1 else "black")
-            axes.annotate(name, anchor, (7, 0), textcoords="offset points", va="center")
+            axes.annotate(
+                f"anchor {number}" if number > 1 else "gNB",
+                anchor,
+                (7, 0),
+                textcoords="offset points",
+                va="center",
+            )
     walls = [
         (np.array(wall.unit_normal), wall.offset_m, {"label": "wall", "color": "0.75", "lw": 4.0})
         for wall in scene.walls
