@@ -282,7 +282,7 @@ def _epochs(
         _objects(first, number)  # refused here if it is damaged
         lines = chain([(number, first)], lines)
     else:
-        names, delimiter = header_of(first)
+        names, delimiter = header_of(first, f"{SOURCE}, line {number}")
     log = LiveLog(names, scene, args.snr, SOURCE, args.clock, delimiter, associated)
     epochs: list[LiveEpoch] = []
     for line in lines:

@@ -235,10 +235,7 @@ def read_table(path: Path, scene: Scene, **options: Any) -> Table:
     lines, problem = read_lines(path)
     if not lines:
         raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
-    try:
-        names, delimiter = header_of(lines[0])
-    except ValueError as error:
-        raise LogError(f"{path}, line 1: {error}") from error
+    names, delimiter = header_of(lines[0], f"{path}, line 1")
     file = log_file(path, names, delimiter, scene, **options)
     return parse(file, (words_of(line, delimiter) for line in lines[1:]), 2, problem)
 
@@ -247,18 +244,18 @@ def _is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def header_of(line: str) -> tuple[list[str], str]:
+def header_of(line: str, place: str) -> tuple[list[str], str]:
     """Return the names of columns and the delimiter: a semicolon if the header has no comma.
 
     The name of a column without one is "", also if pandas named it.
 
     Raises:
-        ValueError: the line is no header.
+        LogError: the line is no header; the message begins with ``place``.
     """
     delimiter = "," if "," in line else ";"
     names = [_UNNAMED.sub("", name.strip()) for name in words_of(line, delimiter)]
-    if len(names) < 2:
-        raise ValueError(f"found {line[:60]!r}, expected comma-separated names of columns")
+    if len(names) < 2 or names[0][:1].isdigit():
+        raise LogError(f"{place}: found {line[:60]!r}, expected a header with names of columns")
     return names, delimiter
 
 

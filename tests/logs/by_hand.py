@@ -57,7 +57,7 @@ def read(path, scene=SCENE, **options):
 def read_live(content):
     """Read the text of a log line by line, as live rows; return the log and its warnings."""
     header, *lines = map(str.rstrip, content.removeprefix("\ufeff").rstrip().split("\n"))
-    names, delimiter = header_of(header)
+    names, delimiter = header_of(header, "header")
     live = LiveLog(names, SCENE, delimiter=delimiter)
     epochs = [epoch for n, line in enumerate(lines, start=2) for epoch in live.add(line, n)]
     return log_from([*epochs, *live.end_epoch()]), live.warnings

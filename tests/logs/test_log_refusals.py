@@ -165,7 +165,7 @@ HEADERS = {  # name -> header, fields that the message names
     "no columns": ("\n", ["line 1"]),
     "tabs": (HEADER.replace(",", "\t"), ["line 1"]),
     "endless name": ("a" * 200_000 + "," + HEADER, ["column 'aaa"]),
-    "no header": ("0,1,1e-7,0,0,0,1,20", ["column '0'"]),
+    "no header": ("0,1,1e-7,0,0,0,1,20", ["line 1"]),
     "unknown": (HEADER + ",color", ["column 'color'"]),
     "users": (HEADER + ",ue", ["column 'ue'"]),
     "no unit": (HEADER.replace("toa_s", "toa"), ["column 'toa'"]),
