@@ -472,7 +472,7 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
     name = "arrival is measured at the user (downlink)"
     assert f"\nThe log is consistent if {name}." in done.stdout
-    cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
+    cure = "exchange the names aoa_azimuth and aod_azimuth, negate aoa_elevation"
     assert f"To correct it, {cure} (docs/data.md)." in done.stdout
     first, *others = json_in(file)["hypotheses"]
     assert first["hypothesis"] == name and first["contradictions"] == []
