@@ -216,7 +216,8 @@ class _FirstEpochs:
         for group in groups.values():
             # the first epoch chose the radio, perhaps one with more noise; that does no harm
             group["nis_per_dof"] = max(group["nis_per_dof"] or 1.0, 1.0)
-        return contradictions(log, scene, radio, groups)
+        heights_m = [p.position_m[2] for p in positions]
+        return contradictions(log, scene, radio, groups, heights_m)
 
 
 def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:

@@ -46,7 +46,7 @@ from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import MOST_FALSE, MOST_MISSED, associate
 from mmwave_env.localization.contradictions import Contradiction, contradictions
 from mmwave_env.localization.diagnosis import diagnose
-from mmwave_env.localization.first_position import on_a_line
+from mmwave_env.localization.first_position import across, on_a_line
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_range_steps
@@ -364,7 +364,7 @@ def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) ->
 def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     """Return statistics of a track's measurements, and what contradicts the scene or the radio."""
     groups = group_statistics(track, track.accepted, track.nis)
-    return groups, contradictions(work.log, work.scene, work.radio, groups)
+    return groups, contradictions(work.log, work.scene, work.radio, groups, track.x[:, 2])
 
 
 def _shared_errors(work: Work) -> dict[str, str]:
@@ -399,6 +399,20 @@ def _may_be_mirrored(track: Track, scene: Scene) -> bool:
     return bool(np.ptp(heights) < _ONE_HEIGHT_M and near.mean() > 0.1)
 
 
+def _may_change_sides(track: Track, scene: Scene) -> bool:
+    """Tell whether ranges alone can't say on which side of its anchors, on a line, a track goes on.
+
+    It may be on either side once it is within three standard deviations of the line.
+    """
+    measured = np.isfinite(track.measurement)
+    anchors = scene.anchors_m[:, :2]
+    if (measured[:, AZIMUTH] | measured[:, DEPARTURE]).any() or not on_a_line(anchors):
+        return False
+    dx, dy = anchors[-1] - anchors[0]
+    variance = track.P[:, :3] @ [dy**2, -2.0 * dx * dy, dx**2]
+    return bool((across(anchors, track.x) ** 2 < 9.0 * variance).any())
+
+
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
@@ -430,6 +444,12 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         odd.append(
             "heights: without elevations, anchors of one height, or ranges of anchors on a line, "
             "do not say how high the user is; if the ground is flat, add --height"
+        )
+    if _may_change_sides(track, work.scene):
+        odd.append(
+            "side: ranges of anchors on a line do not say on which side the user is, and the track "
+            "comes near this line; from there on, it may be mirrored. Azimuths, or an anchor off "
+            "the line, tell the sides apart"
         )
     for message in odd:
         warnings.warn(message, stacklevel=2)

@@ -6,7 +6,7 @@ or unlikely, or that do not fit the track that a filter computes from them. Each
 1000 correct logs violate them (``tests/localization/test_contradictions.py``).
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from math import inf
 from typing import Any, NamedTuple
@@ -42,6 +42,8 @@ _LARGEST_SLOPE = 1.5
 # is large: standard errors assume independent range errors, but a blockage correlates the errors.
 _SURE = 10.0
 _MOVED = 10.0  # difference of the deciles of ranges if a user moves, in standard deviations
+_ROUNDING_M = 1e-6  # a known height varies by less
+_TOO_LOW_M = 6.0  # depth below the streets and all anchors at which users are not expected
 _SURE_SIGN = 5.0  # number of standard errors by which a slope must differ from 0 to count
 
 _USUAL_STEP_S = Bound(f"at most {GAP_S:g} s: is the unit right?", most=GAP_S)
@@ -72,16 +74,20 @@ Check = tuple[str, Any, Bound, str]
 
 
 def contradictions(
-    log: Log, scene: Scene, radio: Radio, groups: Mapping[str, Mapping[str, Any]]
+    log: Log,
+    scene: Scene,
+    radio: Radio,
+    groups: Mapping[str, Mapping[str, Any]],
+    heights_m: Sequence[float] | Array = (0.0,),
 ) -> list[Contradiction]:
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
     ``log`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
     its statistics: ``seen`` (number of epochs with it), ``rejected_share`` (fraction of these
     epochs in which a gate rejected it) and ``nis_per_dof``. ``track_scores.group_statistics``
-    computes them.
+    computes them. ``heights_m`` are a track's heights; a known one does not vary.
     """
-    checks = chain(_likelihood_checks(log, scene, radio), _fit_checks(groups))
+    checks = chain(_likelihood_checks(log, scene, radio, heights_m), _fit_checks(groups))
     return impossible(log) + _failed(checks)
 
 
@@ -122,7 +128,9 @@ def _physical_checks(log: Log) -> Iterator[Check]:
             yield group, middle, bound, f"{sizes[-1]:.3g} {unit}"
 
 
-def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
+def _likelihood_checks(
+    log: Log, scene: Scene, radio: Radio, heights_m: Sequence[float] | Array
+) -> Iterator[Check]:
     """Yield checks of values that are possible but unlikely, such as odd SNRs."""
     for anchor, column in enumerate(log.snr_db.T, start=1):
         snr = column[np.isfinite(column)]
@@ -137,6 +145,17 @@ def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
         bound = Bound("a user below this anchor (with negative elevations)", most=most)
         value = f"a user above this anchor in {100.0 * above:.0f} % of epochs"
         yield "anchor 1", above, bound, value
+    elevations = log.measurement[:, 2 : log.layout.doppler : 4]
+    if np.ptp(heights_m) > _ROUNDING_M and not np.isfinite(elevations).any():
+        # a clock that is ahead makes all ranges longer; a low user explains that, too
+        lowest = min(scene.streets.height_m, *scene.anchors_m[:, 2])
+        bound = Bound(
+            f"about {scene.streets.height_m:g} m, the height of the scene's streets (--height if "
+            "the ground is flat, --clock offset if the user's clock is its own)",
+            least=lowest - _TOO_LOW_M,
+        )
+        usual = np.median(heights_m)
+        yield "height", usual, bound, f"{usual:.3g} m by a track without elevations"
     slope, error = _range_per_doppler(log, scene, radio)
     bound = Bound(
         "1 m: are the sign and the unit right?",

@@ -123,7 +123,7 @@ def position_from_links(links: Array, sigma: Array, scene: Scene, clock: str) ->
     )
     cost, position, information = _descended(problem, _starts(problem))
     if mirrored:
-        sides = _across(points, position) * _across(points, np.array([scene.side]))
+        sides = across(points, position) * across(points, np.array([scene.side]))
         if not (sides > 0.0).any():
             return None
         cost = np.where(sides > 0.0, cost, np.inf)
@@ -238,8 +238,11 @@ def on_a_line(points: Array) -> bool:
     return bool(spread[1] <= 0.01 * spread[0])
 
 
-def _across(line: Array, points: Array) -> Array:
-    """Return values (n,) whose signs say on which side of a line points (n, 2 or more) are."""
+def across(line: Array, points: Array) -> Array:
+    """Return values (n,) whose signs say on which side of a line points (n, 2 or more) are.
+
+    They are distances from the line, times its length.
+    """
     dx, dy = line[-1] - line[0]
     x, y = (points[:, :2] - line[0]).T
     return x * dy - y * dx  # type: ignore[no-any-return]

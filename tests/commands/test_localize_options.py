@@ -541,18 +541,39 @@ def test_a_wrong_doppler_shift_is_found_in_a_log_without_departures(tmp_path):
     ],
 )
 def test_anchors_that_may_mirror_a_track_cause_a_warning(tmp_path, anchors, warned):
+    words = walked(tmp_path, anchors, 20)
+    assert ("warning: heights:" in command(*words).stderr) == warned
+    assert command(*words, "--height", 1.5).stderr == ""
+
+
+def walked(folder, anchors, y):
+    """Simulate the ranges of a user who walks along x at a y; return a command that localizes."""
     base, *others = anchors
     scene = {"base_station_m": base, "virtual_anchors_m": others, "carrier_hz": 28e9, "walls": []}
     scene["side"] = [30, 20]
-    place = tmp_path / "place.json"
+    place = folder / "place.json"
     place.write_text(json.dumps({"name": "place"} | scene))
-    way = tmp_path / "way.csv"
-    way.write_text("t,x,y,z\n" + "".join(f"{t},{5 + t / 4},20,1.5\n" for t in range(60)))
+    way = folder / "way.csv"
+    way.write_text("t,x,y,z\n" + "".join(f"{t},{5 + t / 4},{y},1.5\n" for t in range(60)))
     options_of = ("--scene", place, "--scenario", way, "--measurements", "range")
-    command("simulate", *options_of, "--out", tmp_path)
-    words = ("localize", *options(tmp_path / "log.csv", folder=tmp_path))
-    assert ("warning: heights:" in command(*words).stderr) == warned
-    assert command(*words, "--height", 1.5).stderr == ""
+    command("simulate", *options_of, "--out", folder)
+    return "localize", *options(folder / "log.csv", folder=folder)
+
+
+def test_a_track_near_the_line_of_its_anchors_may_change_sides(tmp_path):
+    words = walked(tmp_path, [[0, 0, 6], [60, 0, 8]], 1)
+    assert "warning: side: " in command(*words, "--height", 1.5).stderr
+
+
+def test_a_clock_that_is_ahead_lowers_a_track_without_elevations(tmp_path):
+    words = walked(tmp_path, [[0, 0, 8], [60, 0, 8], [30, 50, 8]], 20)
+    assert command(*words).stderr == ""
+    columns = read_columns(tmp_path / "log.csv")
+    columns["toa_s"] += 2e-8
+    write_columns(tmp_path / "log.csv", columns)
+    assert "warning: height: found -" in command(*words).stderr
+    assert "No hypothesis" in command(*words, "--diagnose").stdout
+    assert "height" not in command(*words, "--height", -20).stderr
 
 
 def test_a_diagnosis_reports_facts_about_the_log():
