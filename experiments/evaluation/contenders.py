@@ -61,9 +61,9 @@ DESCRIPTIONS = {
     "imm": "interacting multiple models: mixes all modes instead of choosing one",
     "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
     "ppo": "learned policy that chooses between the profile's two modes",
-    "guided": "learned policy that raises the probability of one mode of `imm-best`, or of none",
-    "corrector": "the policy `guided`, with a recurrent network that corrects the positions",
-    "guided-ppo": "same as `guided`, but trained only with PPO",
+    "guided": "learned policy that raises the probability of one mode of imm-best, or of none",
+    "corrector": "the policy guided, with a recurrent network that corrects the positions",
+    "guided-ppo": "same as guided, but trained only with PPO",
     "clairvoyant": "knows the truth: a ceiling for policies that choose modes; runs only if named",
 }
 

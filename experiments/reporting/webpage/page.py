@@ -34,8 +34,6 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import THEMES, hex_of
 
-SHOWN = 5  # number of table rows that are shown at first
-
 
 def text(value: Any) -> str:
     """Escape text for HTML, including quoted attributes; spell out unprintable characters."""
@@ -48,21 +46,15 @@ def element(tag: str, words: Any, kind: str = "") -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return a table of plain text that scrolls sideways; the first cell of each row names the row.
-
-    Rows after the first :data:`SHOWN` are hidden until a box is checked; this needs no script.
-    """
+    """Return a table of plain text that scrolls sideways; the first cell of a row names the row."""
     head = "".join(f'<th scope="col">{text(title)}</th>' for title in header)
     body = "".join(
         f'<tr><th scope="row">{text(name)}</th>{"".join(element("td", c) for c in cells)}</tr>'
         for name, *cells in rows
     )
-    more = f'<label><input type="checkbox"> Show all {len(rows)} rows</label>'
     return (
-        '<div class="table">'
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{text(header[0])}">'
+        f'<div class="table" tabindex="0" role="region" aria-label="{text(header[0])}">'
         f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-        f"{more if len(rows) > SHOWN else ''}</div>"
     )
 
 
@@ -123,13 +115,12 @@ def read_part(path: Path) -> Part:
 
 
 WORDS = (
-    "Means ± half the widths of their 95 % intervals, best reward first. reward (unless the title "
-    "names another): per epoch, minus the position error in m, and minus a penalty if the filter "
-    "misjudges its error. ATE: mean "
-    "position error. RMSE: root of the mean square error. RPE: change of the error within a "
-    "second. NEES: squared error relative to the filter's own covariance; 3 is right (2 on flat "
-    "ground), more is too confident. diverged: share of episodes whose error exceeds 50 m at some "
-    "time. Wide tables scroll sideways."
+    "Wide tables scroll sideways. Means ± half the widths of their 95 % intervals, best reward "
+    "first. reward (unless the title names another): per epoch, minus the position error in m, and"
+    " minus a penalty if the filter misjudges its error. ATE: mean position error. RMSE: root of "
+    "the mean square error. RPE: change of the error within a second. NEES: squared error relative"
+    " to the filter's own covariance; 3 is right (2 on flat ground), more is too confident. "
+    "diverged: share of episodes whose error exceeds 50 m at some time."
 )
 
 
@@ -158,7 +149,7 @@ def _comparison(content: Json) -> Part:
     title = f"{best} has a reward of {comparison.policies[best]['reward']}"
     for other in others:
         if by := comparison.margin(best, other):
-            level = by.low <= 0.0
+            level = round(by.low, 3) <= 0.0
             title = f"{best} and {other} are level" if level else f"{best} beats {other} by {by}"
             break
     sentence = f"{title}, in rewards per epoch: {len(comparison.policies)} policies on {name}."
@@ -177,8 +168,8 @@ def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
         yield html_of(positions_markdown("policy", ranked, positions["risk"], kind))
     for name in comparison.policies:
         if name in DESCRIPTIONS:
-            yield element("p", f"{name}: {DESCRIPTIONS[name]}", "caption")
-    yield element("p", WORDS, "caption")
+            yield element("p", f"{name}: {DESCRIPTIONS[name]}", "note")
+    yield element("p", WORDS, "note")
 
 
 def origin_of(title: str, content: Json) -> str:
