@@ -80,7 +80,7 @@ dist: .venv/.dev ## what would be published, checked: sdist and wheel, their met
 	cd .venv-dist && env -u PYTHONPATH bin/mmwave-loc --help
 	cd .venv-dist && env -u PYTHONPATH bin/mmwave-loc compare --policies imm --episodes 10
 
-examples: ## every example with its library, at the version of docs/own-agent.md; CLIENTS="..." chooses
+examples: ## every example with its library, at the version in pyproject.toml; CLIENTS="..." chooses
 	@for name in $(CLIENTS); do $(MAKE) --no-print-directory -B .venv-examples/.ready NAME=$$name && \
 		.venv-examples/bin/python -m pytest -m slow tests/test_examples.py --durations=0 || exit 1; done
 
