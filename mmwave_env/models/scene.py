@@ -366,7 +366,7 @@ class AnchorScene(Record):
 
 def _scene(content: Json) -> Scene:
     """Make a scene from the content of a file in one of the two forms."""
-    if "anchors" not in content:
+    if content.keys() & {"base_station_m", "walls"}:
         return object_from(Scene, content)
     values = dict(vars(object_from(AnchorScene, content)))
     gnb, *virtual = values.pop("anchors")
