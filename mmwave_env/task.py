@@ -219,7 +219,7 @@ def _source(asked: TaskArguments, radio: Radio) -> EpisodeSource:
     for name in determined:
         value = getattr(asked, name)
         if value != getattr(TaskArguments, name):
-            raise ValueError(f"{name}: found {value!r}, but episodes= determines this value")
+            raise ValueError(f"{name}: found {value!r}, but the episodes determine this value")
     if isinstance(episodes, Track):
         return TrackSource(episodes, radio, asked.episode_steps, measurements, asked.clock)
     return episodes  # type: ignore[no-any-return]
