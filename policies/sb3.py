@@ -57,17 +57,6 @@ class Normalization(NamedTuple):
         return cls.clipped(moments.mean, sigma, normal.clip_obs)
 
 
-def folded_layers(layers: Iterable[Any], normal: Normalization) -> list[tuple[Array, Array]]:
-    """Return weight and bias of each linear layer; the first includes the normalization."""
-    linear = [layer for layer in layers if type(layer).__name__ == "Linear"]
-    folded = [
-        tuple(part.detach().cpu().double().numpy() for part in (layer.weight, layer.bias))
-        for layer in linear
-    ]
-    folded[0] = normal.folded(*folded[0])
-    return folded
-
-
 def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
     """Return the tensors of an actor in the form that a policy file stores.
 
@@ -78,7 +67,10 @@ def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
         normal: normalization of an observation; its ``low`` and ``high`` become tensors, too.
     """
     tensors = {"low": normal.low, "high": normal.high}
-    for i, (weight, bias) in enumerate(folded_layers(layers, normal)):
+    linear = [layer for layer in layers if type(layer).__name__ == "Linear"]
+    for i, layer in enumerate(linear):
+        ends = [part.detach().cpu().double().numpy() for part in (layer.weight, layer.bias)]
+        weight, bias = ends if i else normal.folded(*ends)
         tensors |= {f"layer.{i}.weight": weight, f"layer.{i}.bias": bias}
     return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
 

@@ -27,7 +27,7 @@ from mmwave_env.models.random_scene import RandomSurvey
 from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import columns_of
-from policies.sb3 import folded_layers
+from policies.sb3 import actor_tensors
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")  # policies that run one filter at a time
@@ -121,9 +121,9 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-    layers = folded_layers(network, normal)
-    constants = np.zeros((len(KINDS), len(RISKS), 2))
-    return Network([*RISKS], constants, normal.low, normal.high, layers)
+    actor = actor_tensors(network, normal)
+    tensors = {name: tensor.astype(float) for name, tensor in actor.items()}
+    return Network([*RISKS], tensors | {"constants": np.zeros((len(KINDS), len(RISKS), 2))})
 
 
 def _constants(network: Network, seed: int, rounds: int) -> Array:
@@ -174,4 +174,5 @@ def trained_levels(
     lots = [_finite(lot) for lot in _played(SEED, rounds, LEARNED_FROM, RANDOM_SHARE)]
     features, logs = zip(*lots, strict=True)
     network = _trained(np.concatenate(features), np.concatenate(logs), steps)
-    return network._replace(constants=_constants(network, seed, calibration))
+    network.tensors["constants"] = _constants(network, seed, calibration)
+    return network

@@ -46,18 +46,15 @@ class Network(NamedTuple):
 
     Attributes:
         risks: (R,) risks for which the network was trained and calibrated.
-        constants: (3, R, 2) numbers that the calibration adds to the network's outputs, by kind of
-            filter (one mode, bank of modes, bank with a corrector of its beliefs), by risk, and by
-            direction (horizontal, vertical).
-        low, high: (features,) limits to which features are clipped, as in the training.
-        layers: weights (outputs, inputs) and biases (outputs,) of the layers.
+        tensors: arrays by their names in the file: ``low`` and ``high`` (features,), the limits to
+            which features are clipped, as in the training; ``layer.0.weight`` (outputs, inputs),
+            ``layer.0.bias`` (outputs,), and so on; and ``constants`` (3, R, 2), numbers that the
+            calibration adds to the network's outputs, by kind of filter (one mode, bank of modes,
+            bank with a corrector of its beliefs), by risk, and by direction (horizontal, vertical).
     """
 
     risks: list[float]
-    constants: Array
-    low: Array
-    high: Array
-    layers: Sequence[tuple[Array, ...]]
+    tensors: dict[str, Array]
 
     @classmethod
     def read(cls, path: Path) -> "Network":
@@ -65,30 +62,27 @@ class Network(NamedTuple):
         with safe_open(path, "np") as file:
             risks = json.loads(file.metadata()["levels"])["risks"]
             tensors = {name: file.get_tensor(name).astype(float) for name in file.keys()}  # noqa: SIM118
-        count = sum(name.endswith("weight") for name in tensors)
-        layers = [(tensors[f"layer.{i}.weight"], tensors[f"layer.{i}.bias"]) for i in range(count)]
-        return cls(risks, tensors["constants"], tensors["low"], tensors["high"], layers)
+        return cls(risks, tensors)
 
     def to_bytes(self, command: str) -> bytes:
         """Return the content of a ``.safetensors`` file; ``command`` made the network."""
-        tensors = {"low": self.low, "high": self.high}
-        for i, (weight, bias) in enumerate(self.layers):
-            tensors |= {f"layer.{i}.weight": weight, f"layer.{i}.bias": bias}
-        tensors = {name: np.ascontiguousarray(t, np.float32) for name, t in tensors.items()}
-        tensors["constants"] = self.constants  # in double precision
+        tensors = dict[str, Any]()
+        for name, tensor in self.tensors.items():
+            precision = np.float64 if name == "constants" else np.float32
+            tensors[name] = np.ascontiguousarray(tensor, precision)
         card = {"command": command, "risks": self.risks}
         written: bytes = save(tensors, {"levels": json.dumps(card)})
         return written
 
     def log_factors(self, features: Array) -> Array:
         """Return logarithms of factors (..., R, 2), given features (..., features)."""
-        values = np.fmin(np.fmax(features, self.low), self.high)  # NaN becomes the low limit
-        *hidden, (weight, bias) = self.layers
-        for w, b in hidden:
-            values = np.tanh(_weighted(values, w) + b)
-        answer = _weighted(values, weight) + bias
+        of = self.tensors
+        values = np.fmin(np.fmax(features, of["low"]), of["high"])  # NaN becomes the low limit
+        for i in range(sum(name.endswith("weight") for name in of)):
+            hidden = np.tanh(values) if i else values
+            values = _weighted(hidden, of[f"layer.{i}.weight"]) + of[f"layer.{i}.bias"]
         kinds = features[..., _KIND].sum(axis=-1).astype(int)
-        return answer.reshape(*answer.shape[:-1], -1, 2) + self.constants[kinds]  # type: ignore[no-any-return]
+        return values.reshape(*values.shape[:-1], -1, 2) + of["constants"][kinds]  # type: ignore[no-any-return]
 
 
 def _weighted(values: Array, weight: Array) -> Array:

@@ -139,7 +139,7 @@ def test_levels_are_infinite_for_a_risk_that_is_too_small_for_the_calibration(tm
     path = tmp_path / "levels.safetensors"
     path.write_bytes(network.to_bytes("mmwave-loc tune --levels"))
     read = Network.read(path)
-    assert_array_equal(read.constants, network.constants)
+    assert_array_equal(read.tensors["constants"], network.tensors["constants"])
     features = Levels(kind="gaussian").features(ANCHORS, True, np.arange(T), parts())
     factors = read.log_factors(features)
     assert factors.shape == (N, T, len(RISKS), 2)
