@@ -48,7 +48,7 @@ def info_rows(at: Any) -> dict[str, Any]:
 
 
 def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
-    """Return the rows of a workspace that a :class:`~mmwave_env.rendering.gallery.Recorder` reads.
+    """Return the rows of a workspace that a :class:`~mmwave_env.rendering.gallery.Gallery` reads.
 
     Args:
         at: state with row numbers as values, the same as for :func:`info_rows`.

@@ -280,7 +280,7 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
     env.reset(seed=SEED)
     for mode in history.modes[1:]:
         env.step(mode)
-    recorded = env._gallery.recorders[0].history
+    recorded = env._gallery.history(0)
     assert history.axes == recorded.axes and history.epochs == recorded.epochs == len(EPISODE)
     assert history.name == recorded.name
     assert history.scene == recorded.scene is not None

@@ -216,7 +216,7 @@ def views(seed, action, **arguments):
     over = False
     while not over:
         *_, over, _ = env.step(action)
-    history = env._gallery.recorders[0].history
+    history = env._gallery.history(0)
     for epochs in range(history.epochs + 1):
         so_far = history.part(slice(epochs + 1))
         view = follow(so_far, FRAME)
