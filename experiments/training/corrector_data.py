@@ -31,7 +31,7 @@ from mmwave_env.interface.signed import after_update
 from mmwave_env.localization.starts import gives_fix
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.prior import prior_from_fix
-from mmwave_env.models.radio import RandomRadio, radio_from
+from mmwave_env.models.radio import radio_from, random_radio
 from mmwave_env.models.random_scene import WIDE_SCENE, RandomScene, RandomSurvey
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
@@ -166,7 +166,7 @@ class TrainingEpisodes:
             carrier_hz=float(rng.uniform(24e9, 60e9)),
             bandwidth_hz=float(rng.choice([100e6, 200e6, 400e6])),
         )
-        radio = RandomRadio(radio_from(places[profile].radio)).draw(rng)
+        radio = random_radio(radio_from(places[profile].radio), rng)
         if rng.random() < CLEAR:
             radio = replace(radio, blockage_scale=0.0, multipath_rate_hz=0.0, outage_rate_hz=0.0)
         lacks = rng.random() < LACKING

@@ -3,7 +3,7 @@
 The noise variance is a floor (calibration, array errors) plus the Cramer-Rao bound at the link's
 SNR. Blockage lowers the SNR of a link and biases its measurements; multipath biases them without
 changing the SNR. The filters do not know which links are affected. In training, profiles may be
-random (:class:`RandomRadio`), so that a policy cannot memorize the noise of one profile.
+random (:func:`random_radio`), so that a policy cannot memorize the noise of one profile.
 """
 
 import math
@@ -19,7 +19,6 @@ from mmwave_env.io.records import (
     Bound,
     Name,
     Probability,
-    Record,
     between,
     counts,
     hints_of,
@@ -336,27 +335,22 @@ _SCALED = (  # pairs are multiplied by one factor
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class RandomRadio(Record):
-    """A distribution of radios: a profile with random changes of noise, rates and link budget.
+def random_radio(
+    profile: Radio, rng: np.random.Generator, factor: float = 2.0, budget_db: float = 4.0
+) -> Radio:
+    """Draw a radio: a profile with random changes of noise, rates and link budget.
 
-    Attributes:
+    Args:
         profile: profile to change; filters use the modes tuned for it.
-        factor: largest factor that a field is multiplied by; the smallest is 1 / factor. Factors
-            are log-uniformly distributed between these two.
+        rng: source of all randomness.
+        factor: largest factor that a field is multiplied by, up to 4; the smallest is 1 / factor.
+            Factors are log-uniformly distributed between these two.
         budget_db: largest change of the link budget, in either direction.
     """
-
-    profile: Radio
-    factor: Annotated[float, between(1.0, 4.0)] = 2.0
-    budget_db: Annotated[float, between(0.0, 20.0, "dB")] = 4.0
-
-    def draw(self, rng: np.random.Generator) -> Radio:
-        """Draw the next radio."""
-        values: dict[str, Any] = {}
-        for name in _SCALED:
-            by = float(self.factor ** rng.uniform(-1.0, 1.0))
-            value = getattr(self.profile, name)
-            values[name] = tuple(by * v for v in value) if type(value) is tuple else by * value
-        budget = self.profile.transmit_dbm + float(rng.uniform(-self.budget_db, self.budget_db))
-        return replace(self.profile, transmit_dbm=budget, **values)
+    values: dict[str, Any] = {}
+    for name in _SCALED:
+        by = float(factor ** rng.uniform(-1.0, 1.0))
+        value = getattr(profile, name)
+        values[name] = tuple(by * v for v in value) if type(value) is tuple else by * value
+    budget = profile.transmit_dbm + float(rng.uniform(-budget_db, budget_db))
+    return replace(profile, transmit_dbm=budget, **values)

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.prior import prior_from_fix
-from mmwave_env.models.radio import RADIOS, Radio, RandomRadio, radio_from
+from mmwave_env.models.radio import RADIOS, Radio, radio_from, random_radio
 from mmwave_env.models.random_scene import WIDE_SCENE
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
@@ -121,7 +121,7 @@ HANDSET = RADIOS["handset"]
 
 def test_floors_and_rates_differ_from_the_profile_by_at_most_the_factor():
     rng = np.random.default_rng(0)
-    drawn = [RandomRadio(HANDSET, 2.0, 3.0).draw(rng) for _ in range(200)]
+    drawn = [random_radio(HANDSET, rng, 2.0, 3.0) for _ in range(200)]
     for name in ("aoa_floor_rad", "range_floor_m", "multipath_rate_hz", "blockage_mean_s"):
         values = np.array([np.ravel(getattr(radio, name)) for radio in drawn])
         ratios = values / np.ravel(getattr(HANDSET, name))
@@ -133,7 +133,7 @@ def test_floors_and_rates_differ_from_the_profile_by_at_most_the_factor():
 
 
 def test_a_factor_of_one_gives_the_profile():
-    same = RandomRadio(HANDSET, 1.0, 0.0).draw(np.random.default_rng(0))
+    same = random_radio(HANDSET, np.random.default_rng(0), 1.0, 0.0)
     assert all(getattr(same, f.name) == getattr(HANDSET, f.name) for f in fields(Radio))
 
 
@@ -141,7 +141,7 @@ def test_every_random_radio_is_within_the_limits_of_simulations():
     rng = np.random.default_rng(1)
     for profile in RADIOS.values():
         for _ in range(20):
-            SimulatedSource(WIDE_SCENE, RandomRadio(profile, 4.0, 10.0).draw(rng))
+            SimulatedSource(WIDE_SCENE, random_radio(profile, rng, 4.0, 10.0))
 
 
 def test_wide_streets_are_a_scene_of_the_environment():
