@@ -120,25 +120,6 @@ def update(
     return updated, P - K @ S @ K.T
 
 
-def update_with_differences(
-    model: "Sensor", x: Array, P: Array, z: Array, R: Array, keep: Mask, reference: int
-) -> tuple[Array, Array]:
-    """Condition x (7,) on differences of ranges (TDoA) and on all rows that are not ranges.
-
-    All ranges contain the same unknown bias, which cancels in their differences to the range of
-    the anchor ``reference``; the noise of this range correlates them. Other arguments are the same
-    as for :func:`update`.
-    """
-    D = np.eye(len(z))
-    D[0 : 4 * model.links : 4, 4 * reference] -= 1.0
-    D = D[keep & (np.arange(len(z)) != 4 * reference)]
-    H = model.jacobian(x)
-    S = D @ (H @ P @ H.T + np.diag(R)) @ D.T
-    K = np.linalg.solve(S, D @ H @ P).T
-    y = model.residual(z, model.h(x), x)
-    return x + K @ D @ y, P - K @ S @ K.T
-
-
 def mix(probability: Array, transition: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
     """Mix the beliefs of M modes before an epoch of an IMM.
 
