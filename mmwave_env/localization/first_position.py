@@ -17,7 +17,7 @@ from scipy.special import chdtri
 from mmwave_env.compiler.advance import call
 from mmwave_env.compiler.disk_cache import compiled
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import Program, blocks_of
+from mmwave_env.compiler.program import Program, blocks_of, fill, rows_of
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import link_group
 from mmwave_env.models.radio import BIAS_SIGMA_M
@@ -382,12 +382,10 @@ def _descended(links: _Links, starts: Array, rounds: int = _ROUNDS) -> tuple[Arr
     add_link, end_round = _programs(n)
     at = add_link.index
     blocks = blocks_of(add_link.start, S)
-    searches = blocks.transpose(0, 2, 1).reshape(-1, len(add_link.start))
-    searches[:, at.center] = links.center
-    searches[:, at.weight] = links.weight
-    searches[:, at.tried] = starts[np.arange(len(searches)) % S]
-    blocks = searches.reshape(len(blocks), WIDTH, -1).transpose(0, 2, 1).copy()
+    blocks[:, at.center] = links.center[:, None]
+    blocks[:, at.weight] = links.weight[:, None]
+    fill(blocks, rows_of(at.tried), starts[np.arange(len(blocks) * WIDTH) % S])
     rows = np.concatenate(links[:4]).T.copy()
     _run_rounds(add_link.on_lanes(), end_round.on_lanes(), at.settled, rows, blocks, rounds)
-    ends = blocks.transpose(0, 2, 1).reshape(searches.shape)[:S]
+    ends = blocks.transpose(0, 2, 1).reshape(-1, len(add_link.start))[:S]
     return ends[:, at.best.cost], ends[:, at.position], ends[:, unpack(at.best.information)]
