@@ -283,7 +283,7 @@ def tables_of(entries: Mapping[str, Json]) -> str:
     return (
         "Score at each site:\n\n"
         f"{grid(['site', f'{CLAIRVOYANT} minus {RULE}', *judged], by_site)}\n\n"
-        "Mean gain over imm-best, and numbers of sites: above every other IMM / level / below one:\n\n"
+        "Mean gain over imm-best, counts of sites: above every other IMM / level / below one:\n\n"
         f"{grid(['entry', *KINDS], gains)}\n\n"
         "Mean score (100: the clairvoyant, 0: the paper's rule):\n\n"
         f"{grid(['entry', *(f'score {kind}' for kind in KINDS)], scores)}"

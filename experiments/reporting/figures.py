@@ -16,7 +16,7 @@ from scipy.special import chdtr, chdtri
 from mmwave_env.io.files import Json, atomic_path, require_writable
 from mmwave_env.io.lookup import printable, require_extra
 from mmwave_env.localization.localizer import Track
-from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
+from mmwave_env.localization.position_errors import SHARES, error_sizes
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.ellipses import axes_of, ellipse
 from mmwave_env.numerics.numbers import Array
@@ -109,11 +109,10 @@ _SHARES = np.linspace(0.0, 0.999, 400)
 def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
     with panels(path) as both:
-        for axes, kind, size in zip(
-            both, ("horizontal", "vertical"), (horizontal, vertical), strict=True
-        ):
+        for i, (axes, kind) in enumerate(zip(both, ("horizontal", "vertical"), strict=True)):
             for name, errors in errors_m.items():
-                values = np.maximum(size(errors), SMALLEST_M)  # the error of a known height is 0
+                sizes = error_sizes(errors)[..., i]
+                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
                 axes.plot(np.quantile(values, _SHARES), _SHARES, label=printable(name))
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")

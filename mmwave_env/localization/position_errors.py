@@ -93,14 +93,9 @@ def horizontal(error: Array) -> Array:
     return np.hypot(error[..., 0], error[..., 1])  # type: ignore[no-any-return]
 
 
-def vertical(error: Array) -> Array:
-    """Compute absolute values (...,) of errors (..., 3) in z, m."""
-    return np.abs(error[..., 2])  # type: ignore[no-any-return]
-
-
 def error_sizes(error: Array) -> Array:
     """Compute the horizontal and the vertical size (..., 2) of errors (..., 3), m."""
-    return np.stack([horizontal(error), vertical(error)], axis=-1)
+    return np.stack([horizontal(error), np.abs(error[..., 2])], axis=-1)
 
 
 def percentiles(sizes: Array) -> dict[str, float | None]:
