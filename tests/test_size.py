@@ -20,7 +20,7 @@ BUDGET = {
     "files of source": 191,
     "words of docs": 33_000,
     "pages of docs": 27,
-    "tracked files": 619,
+    "tracked files": 600,
     "tracked MB": 10,
     "commands": 12,
     "extras for users": 8,
@@ -50,7 +50,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/rendering": 7_330,
     "mmwave_env/world": 15_420,
     "policies": 7_230,
-    "tests": 208_300,
+    "tests": 208_500,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")
