@@ -73,16 +73,10 @@ def exchanged(a):
 
 MISTAKES = {  # name -> (function that returns the changed arrays, array that the warning names)
     "exchanged": (exchanged, "aod_azimuth_rad of anchor 1"),
-    "degrees": (lambda a: {"aoa_azimuth_rad": np.degrees(a["aoa_azimuth_rad"])}, "aoa_azimuth_rad"),
-    "zenith": (
-        lambda a: {"aoa_elevation_rad": np.pi / 2 - a["aoa_elevation_rad"]},
-        "aoa_elevation_rad",
-    ),
     "upside down": (lambda a: {"aoa_elevation_rad": -a["aoa_elevation_rad"]}, "aoa_elevation_rad"),
     "turned": (lambda a: {"aoa_azimuth_rad": a["aoa_azimuth_rad"] + 0.2}, "aoa_azimuth_rad"),
     "round trip": (lambda a: {"range_m": 2.0 * a["range_m"]}, "range_m of anchor 1"),
     "anchors reversed": (lambda a: {"anchors_m": a["anchors_m"][::-1]}, "anchor 3"),
-    "another frame": (lambda a: {"position_m": a["position_m"] + [1000.0, 0.0, 0.0]}, "range_m"),
 }
 
 
