@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.datasets.recorded import TrackSource
-from mmwave_env.datasets.samples import read_track, sample_folder
+from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.radio import BIAS_SIGMA_M, RADIOS
+from mmwave_env.models.radio import BIAS_SIGMA_M
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
@@ -136,10 +135,6 @@ def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
     ):
         with refuses("clock"):
             task_from(**arguments)
-    track = read_track("canyon28_vehicle")
-    track.measurement[:, : track.layout.doppler : 4] = np.nan
-    with refuses("clock"):
-        TrackSource(track, RADIOS["standard"], clock="offset")
 
 
 @pytest.fixture(scope="module")

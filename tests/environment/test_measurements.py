@@ -71,8 +71,9 @@ def test_a_custom_source_decides_what_is_measured():
     assert task_from(episodes=some).pipeline.layout.partial
 
 
-def test_measurements_that_a_track_lacks_are_refused():
+@pytest.mark.parametrize("needs", [{"measurements": ["range"]}, {"clock": "offset"}], ids=str)
+def test_a_track_without_ranges_is_refused_where_they_are_needed(needs):
     track = read_track("canyon28_vehicle")
     track.measurement[:, : track.layout.doppler : 4] = np.nan
-    with refuses("measurements"):
-        TrackSource(track, "handset", measurements=["range"])
+    with refuses(*needs):
+        TrackSource(track, "handset", **needs)
