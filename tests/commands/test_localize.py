@@ -193,8 +193,6 @@ MISTAKES = {  # name -> options, expected message
     "two ways and a height": (["--two-way", "--height", "1.5"], "height: cannot be combined"),
     "two ways and one filter": (["--two-way", "--speed", "1"], "two-way: found modes with"),
     "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
-    "--json over --radio": (["--radio", "r.json", "--json", "r.json"], "json: found r.json"),
-    "one file twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "out: found a.tum"),
 }
 
 
