@@ -5,9 +5,10 @@ from experiments.console.options import TrainArgs as Args
 
 def main(args: Args) -> None:
     """Run the command."""
-    from mmwave_env.io.lookup import require_extra
-
-    require_extra("stable_baselines3", "train", "train")
-    from experiments.training.run import run
-
+    try:
+        from experiments.training.run import run
+    except ImportError as error:
+        raise ValueError(
+            f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"
+        ) from error
     run(args)
