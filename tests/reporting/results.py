@@ -61,7 +61,7 @@ class Read(HTMLParser):
 
     def table(self, words):
         """Return the rows of the first table with these words in its caption."""
-        parts = self.page.split('<div class="table">')[1:]
+        parts = self.page.split('<div class="table"')[1:]
         part = next(part for part in parts if words in part.partition("</p>")[0])
         rows = re.findall("<tr>(.*?)</tr>", part, re.DOTALL)
         cells = (re.findall("<t[hd].*?>(.*?)</t[hd]>", row, re.DOTALL) for row in rows)
