@@ -17,7 +17,6 @@ RIDE = (LOG / "log.csv", "--scene", LOG / "scene.json")
     ("package", "extra", "file", "words"),
     [
         ("matplotlib", "plot", "new.png", ["localize", *RIDE, "--plot"]),
-        ("matplotlib", "plot", "new.png", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("filterpy", "filterpy", "new.json", ["speed", "--json"]),
         ("pygame", "render", "new.gif", ["watch", "--out"]),
     ],

@@ -185,7 +185,6 @@ def test_the_wheel_has_all_files_that_make_up_a_page():
 
 
 MISTAKES = {  # name -> content of a results file, expected message
-    "no results": ({"a": 1}, "policies: found none"),
     "no interval": (results.comparison(policies={"imm": {"reward": 3}}), ""),
     "no mean": (results.comparison(paired={"a": {"reward": {"ci95": None}}}), "mean: found"),
     "a wrong seed": (results.comparison(seed=-1), "seed: found -1"),
