@@ -35,6 +35,9 @@ def task(beliefs="per-mode", places=PLACES, banks=BANKS):
     return TrainingTask("mixed", places, banks, "full", TrackingReward(), beliefs)
 
 
+STREET = task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))})
+
+
 def environment(of=None):
     return RolloutEnv(of or task(), 16, HORIZON, DISCOUNT, SEED)
 
@@ -123,9 +126,8 @@ def test_states_near_the_end_of_an_episode_are_left_out():
 
 
 def test_the_normalization_is_measured_on_observations_of_the_environment():
-    street = task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))})
-    normal = environment(street).measured_normalization(6.0)
-    again = environment(street)
+    normal = environment(STREET).measured_normalization(6.0)
+    again = environment(STREET)
     observed = []
     for _ in range(200):
         again.step(np.zeros(16, np.int64))

@@ -1,6 +1,7 @@
 """Tests of rollout policy iteration: interruptions, policy files, and learning."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,11 +12,10 @@ import torch
 from experiments.training.hyperparameters import RolloutHyperparameters
 from experiments.training.rollouts import RolloutLearner, RolloutTrainer, Tried
 from experiments.training.run import train
-from experiments.training.trainer import Job
-from mmwave_env.filters.bank import Bank, default_modes
 from policies import LearnedSwitch
 from policies.sb3 import Normalization
-from tests.training.test_rollout_env import PLACES, task
+from tests.training import test_train
+from tests.training.test_rollout_env import PLACES, STREET, task
 from tests.training.test_train_interrupted import assert_goes_on, silent, trained
 
 pytestmark = pytest.mark.torch
@@ -28,9 +28,9 @@ HYPER = RolloutHyperparameters(
 UPDATES = 10
 
 
-def job_of(folder, **changes):
-    job = Job(task(), HYPER, 0, UPDATES * HYPER.states, folder, "mmwave-loc train", 16)
-    return replace(job, **changes)
+job_of = partial(
+    test_train.job_of, task=task(), hyperparameters=HYPER, timesteps=UPDATES * HYPER.states
+)
 
 
 @pytest.mark.slow
@@ -64,8 +64,7 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 @pytest.mark.slow
 def test_a_short_training_from_scratch_beats_the_speed_rule_and_the_imm(tmp_path):
     """Train a policy with the speed rule's modes; at first, the policy acts like their IMM."""
-    street = task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))})
-    job = job_of(tmp_path, task=street, hyperparameters=QUICK, timesteps=60_000, episodes=500)
+    job = job_of(tmp_path, task=STREET, hyperparameters=QUICK, timesteps=60_000, episodes=500)
     best = train(job, silent)["best"]
     for rival in ("speed-rule", "imm"):
         low, high = best[f"minus {rival}"]["ci95"]
@@ -84,8 +83,8 @@ SIGMA = np.array([2.0, 0.1, 1.0, 30.0])
 NORMAL = Normalization(MEAN - 6.0 * SIGMA, MEAN + 6.0 * SIGMA, MEAN, SIGMA)
 
 
-def learner(hyper=LEARNING, seed=0):
-    torch.manual_seed(seed)
+def learner(hyper=LEARNING):
+    torch.manual_seed(0)
     return RolloutLearner(FEATURES, ACTIONS, hyper, NORMAL)
 
 
