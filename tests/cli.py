@@ -54,10 +54,10 @@ def environment():
     return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
 
 
-def python(code, *options, cwd=ROOT):
+def python(code):
     """Run Python code in another process, which imports this checkout; return the process."""
-    words = [sys.executable, *options, "-c", code]
-    return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
+    words = [sys.executable, "-c", code]
+    return subprocess.run(words, cwd=ROOT, env=environment(), capture_output=True, text=True)
 
 
 def printed(code):

@@ -171,7 +171,6 @@ def test_the_docs_list_every_example_with_the_group_that_it_needs():
 
 
 NOTEBOOKS = ROOT / "docs" / "notebooks"
-SHOWN = {"first_switcher": 3, "corrector": 5}  # number of pictures that a notebook shows
 
 
 def outputs_of(name):
@@ -186,7 +185,7 @@ def outputs_of(name):
 @pytest.mark.slow
 def test_the_notebook_of_the_corrector_shows_that_every_step_helps():
     _, shown = outputs_of("corrector")
-    assert sum("image/png" in data for data in shown) == SHOWN["corrector"]
+    assert sum("image/png" in data for data in shown) == 5
     errors = ast.literal_eval(shown[0]["text/plain"])
     assert errors["speed-rule"] > errors["imm-best"] > errors["guided"] > errors["corrector"]
     (table,) = (data["text/markdown"] for data in shown if "text/markdown" in data)
@@ -199,7 +198,7 @@ def test_the_notebook_of_the_corrector_shows_that_every_step_helps():
 def test_the_agent_of_the_first_notebook_beats_the_speed_rule_and_the_ukf():
     printed, shown = outputs_of("first_switcher")
     assert "Warning: speed" not in printed
-    assert sum("image/png" in data for data in shown) == SHOWN["first_switcher"]
+    assert sum("image/png" in data for data in shown) == 3
     (tables,) = (data["text/markdown"] for data in shown if "text/markdown" in data)
     header, mine = (
         [cell.strip() for cell in line.split("|")]

@@ -40,9 +40,9 @@ def kind(request):
     return KINDS[request.param]
 
 
-def played(env, actions, seed=0):
+def played(env, actions):
     """Return the results of a reset and of a step with each action."""
-    return [env.reset(seed=seed), *(env.step(action) for action in actions)]
+    return [env.reset(seed=0), *(env.step(action) for action in actions)]
 
 
 def drawn(space, steps, n=()):

@@ -57,11 +57,6 @@ def findings(path, scene, partial=False):
     return diagnose(Reading(log if partial else log.whole(), scene, RADIO, MODES[1]))
 
 
-def reordered(scene, order):
-    """Return the scene with its anchors in another order; the first anchor is the base station."""
-    return scene.with_anchors(scene.anchors_m[np.subtract(order, 1)])
-
-
 @both
 def test_a_correct_log_is_diagnosed_as_consistent(folder):
     scene = scene_in(folder)
@@ -99,7 +94,7 @@ def test_a_mistake_is_refused_or_causes_a_warning_and_is_diagnosed(tmp_path, fol
 @pytest.mark.parametrize("order", ORDERS, ids=str)
 def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, order):
     right = scene_in(folder)
-    scene = reordered(right, order)
+    scene = right.with_anchors(right.anchors_m[np.subtract(order, 1)])
     assert doubts(read_log(folder / "log.csv", scene).whole(), scene)
     best = findings(folder / "log.csv", scene)[0]
     # These are the numbers that the log's anchors 1, 2 and 3 have in the wrong scene.

@@ -35,6 +35,9 @@ T = 230
 SHIFT = 3  # index of the group with the Doppler shift
 EKF, UKF = default_modes()
 BANK = best_bank()
+filtered_or_smoothed = pytest.mark.parametrize(
+    ("modes", "window"), [((EKF,), None), ((EKF,), 1000), (BANK, 30)]
+)
 
 
 @cache
@@ -210,7 +213,7 @@ def unseen(block, epochs):
     return replace(block, visible=visible, incomplete=incomplete)
 
 
-@pytest.mark.parametrize(("modes", "window"), [((EKF,), None), ((EKF,), 1000), (BANK, 50)])
+@filtered_or_smoothed
 def test_the_track_before_a_damaged_line_is_returned_with_the_error(block, window, modes):
     sound = block.part(slice(0, 130))
     result = run(damaged(sound), modes, window=window)
@@ -248,7 +251,7 @@ def with_gap(block, seconds, at=100):
     return block.part(slice(at)), replace(block, time_s=time).part(slice(fix, None))
 
 
-@pytest.mark.parametrize(("modes", "window"), [((EKF,), None), ((EKF,), 1000), (BANK, 30)])
+@filtered_or_smoothed
 def test_after_a_long_gap_the_track_equals_the_track_of_the_remaining_log(block, window, modes):
     before, after = with_gap(block, 60.0)
     whole = run(Log.joined([before, after]), modes, window=window)
