@@ -183,21 +183,16 @@ def rewards(seed, *shape):
 
 
 @pytest.fixture(scope="module")
-def scores():
-    names = ("fixed-ekf", "fixed-ukf", "speed-rule", "ppo", "imm", "imm-best")
-    table = {name: {"reward": rewards(i)} for i, name in enumerate(names)}
-    table["fixed-ukf"]["reward"] += 2.0
-    table["imm-best"]["reward"] += 5.0
-    return table
-
-
-@pytest.fixture(scope="module")
 def trained():
     """Return rewards (seeds, episodes) of two runs, of which the second is better."""
     return {RUN: rewards(10, 3), OTHER: rewards(11, 4) + 9.0}
 
 
-def test_differences_are_paired_by_episode(scores, trained):
+def test_differences_are_paired_by_episode(trained):
+    names = ("fixed-ekf", "fixed-ukf", "speed-rule", "ppo", "imm", "imm-best")
+    scores = {name: {"reward": rewards(i)} for i, name in enumerate(names)}
+    scores["fixed-ukf"]["reward"] += 2.0
+    scores["imm-best"]["reward"] += 5.0
     compared = {
         name: over_training_seeds(name, [{"reward": each} for each in rewards], scores)[0]
         for name, rewards in trained.items()

@@ -72,19 +72,13 @@ AWKWARD = "$x$|a\nb\x1b[31m[red]\u202e<script>"
 SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
 
 
-@pytest.fixture
-def screen(monkeypatch):
-    """Return a buffer to which progress bars are written, as to a terminal of 100 columns."""
-    shown = io.StringIO()
+def test_bars_show_names_literally(monkeypatch):
+    screen = io.StringIO()  # instead of a terminal of 100 columns
 
     def console(**_):
-        return Console(file=shown, force_terminal=True, width=100, color_system=None)
+        return Console(file=screen, force_terminal=True, width=100, color_system=None)
 
     monkeypatch.setattr(terminal, "Console", console)
-    return shown
-
-
-def test_bars_show_names_literally(screen):
     with progress(AWKWARD) as report:
         report(0.5)
     assert list(tracked([1, 2], AWKWARD)) == [1, 2]

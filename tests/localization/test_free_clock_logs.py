@@ -96,16 +96,13 @@ def ride(tmp_path_factory):
     return folder
 
 
-def words_of(folder):
-    return folder / LOG, "--scene", folder / SCENE, "--speed", "auto", "--clock", "free"
-
-
 def test_time_differences_give_the_same_track_as_times_of_arrival(tmp_path, ride):
     wrong_log(tmp_path, ride, differences)
     (tmp_path / SCENE).write_text((ride / SCENE).read_text())
     tracks = []
     for folder in (ride, tmp_path):
-        succeed("localize", *words_of(folder), "--out", tmp_path / "track.csv")
+        words = (folder / LOG, "--scene", folder / SCENE, "--speed", "auto", "--clock", "free")
+        succeed("localize", *words, "--out", tmp_path / "track.csv")
         tracks.append(pd.read_csv(tmp_path / "track.csv"))
     positions = [track[["x_m", "y_m", "z_m", "sigma_x_m"]] for track in tracks]
     assert_allclose(*positions, atol=1e-5)

@@ -57,11 +57,11 @@ def drawn(**arguments):
     return draw_picture(history(**arguments), ["ekf", "ukf"])
 
 
-def played(steps, seed=0, action=lambda k: k % 2, **arguments):
+def played(steps, seed=0, **arguments):
     env = gym.make(ID, render_mode="rgb_array", **arguments)
     env.reset(seed=seed)
     for k in range(steps):
-        env.step(action(k))
+        env.step(k % 2)
     return env
 
 
