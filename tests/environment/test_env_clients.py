@@ -125,7 +125,6 @@ def test_attributes_that_a_subclass_or_a_user_added_are_copied(how):
     ("arguments", "steps"),
     [
         ({}, 200),
-        ({"episode_steps": 7}, 7),
         ({"episodes": "canyon28_pedestrian", "episode_steps": 12}, 12),
         ({"episodes": Patchy()}, None),
     ],

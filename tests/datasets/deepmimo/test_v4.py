@@ -17,7 +17,6 @@ from tests.datasets.deepmimo.scenarios import (
     TRUTH,
     dynamic_twin,
     edit,
-    edit_line,
     edit_params,
     load,
     set_counts,
@@ -112,7 +111,6 @@ DAMAGE = {  # name -> (function that damages a folder, files and keys that the r
     "a key missing": (lambda f: (f / f"scene_0006/delay_{LINK}.npz").unlink(), ["0006/delay"]),
     "a NaN": (array_in(7, "delay", lambda a: a * [np.nan, 1]), ["scene_0007", "delay[0, 0]"]),
     "a station that moves": (array_in(3, "tx_pos", lambda a: a + [1, 0, 0]), ["0003", "tx_pos"]),
-    "a position elsewhere": (lambda f: edit_line(f, 4, "0.2,-43,-3,1.5,10,0,0"), [TRUTH, "line 4"]),
 }
 
 
