@@ -42,16 +42,13 @@ def observe(table, **features):
     return observation.astype(np.float32)
 
 
-@pytest.mark.parametrize("threshold", [0.0, 0.5, 7.3])
-def test_the_speed_rule_switches_above_its_threshold(table, threshold):
+@pytest.mark.parametrize(("arguments", "threshold"), [([0.0], 0.0), ([], 2.0), ([7.3], 7.3)])
+def test_the_speed_rule_switches_above_its_threshold_or_that_of_the_paper(
+    table, arguments, threshold
+):
     speeds = [0.0, threshold * (1.0 - 1e-6), threshold, threshold * (1.0 + 1e-6) + 1e-6, 19.9]
-    actions = SpeedRule(table, threshold).act(observe(table, predicted_speed=speeds))
+    actions = SpeedRule(table, *arguments).act(observe(table, predicted_speed=speeds))
     assert_array_equal(actions, [0, 0, 0, 1, 1])
-
-
-def test_the_threshold_of_the_paper_is_the_default(table):
-    actions = SpeedRule(table).act(observe(table, predicted_speed=[1.999, 2.001]))
-    assert_array_equal(actions, [0, 1])
 
 
 def test_the_speed_rule_warns_once_above_its_range_of_speeds_but_chooses_the_fast_mode(table):
