@@ -14,6 +14,10 @@ from experiments.evaluation.intervals import (
     rounded,
 )
 
+# Two independent 2.5 % quantiles of resampled means differ by more than this number of standard
+# deviations of these means, or 4.5 standard errors of the difference, in one of 10^5 tests.
+MARGIN = 4.5 * np.sqrt(2.0 * 0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
+
 # --- over episodes
 
 
@@ -27,14 +31,10 @@ def test_one_episode_gives_a_mean_and_no_interval():
 def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (2, n))
     ours = bootstrap(values)
-    # A 2.5 % quantile of resampled means has a standard error of quantile_error times the standard
-    # deviation of these means. Two independent quantiles differ by more than 4.5 sqrt(2) standard
-    # errors in only one of 10^5 tests.
-    quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for row, interval in zip(values, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
         other = scipy_bootstrap((row,), np.mean, **same).confidence_interval
-        margin = 4.5 * np.sqrt(2.0) * quantile_error * row.std() / np.sqrt(n)
+        margin = MARGIN * row.std() / np.sqrt(n)
         assert interval.mean == pytest.approx(row.mean())
         assert abs(interval.low - other.low) <= margin
         assert abs(interval.high - other.high) <= margin
@@ -79,10 +79,9 @@ def test_seeds_and_episodes_are_resampled_independently():
     interval = crossed_bootstrap(scores)
     deviations = plain_deviations(scores, rng, RESAMPLES)
     assert interval.mean == pytest.approx(scores.mean())
-    margin = 4.5 * np.sqrt(2.0 * 0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for end, quantile in ((interval.low, 2.5), (interval.high, 97.5)):
         other = scores.mean() + np.percentile(deviations, quantile)
-        assert abs(end - other) < margin * deviations.std()
+        assert abs(end - other) < MARGIN * deviations.std()
 
 
 @pytest.mark.parametrize("seeds", [1, 5])
