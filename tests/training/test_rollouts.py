@@ -25,12 +25,9 @@ HYPER = RolloutHyperparameters(
     batch_size=64, learning_rate=0.01, ent_coef=0.002, final_fraction=0.1, hidden=(8, 8),
     clip_observation=6.0, first_action_bias=0.0,
 )  # fmt: skip
-UPDATES = 10
 
 
-job_of = partial(
-    test_train.job_of, task=task(), hyperparameters=HYPER, timesteps=UPDATES * HYPER.states
-)
+job_of = partial(test_train.job_of, task=task(), hyperparameters=HYPER, timesteps=10 * HYPER.states)
 
 
 @pytest.mark.slow

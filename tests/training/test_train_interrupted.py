@@ -29,10 +29,7 @@ pytestmark = [
 ]
 
 SMALL = replace(HYPER, num_envs=4, n_steps=25, batch_size=50, paired=True)
-UPDATES = 14
-
-
-STEPS = UPDATES * SMALL.num_envs * SMALL.n_steps
+STEPS = 14 * SMALL.num_envs * SMALL.n_steps
 job_of = partial(test_train.job_of, hyperparameters=SMALL, timesteps=STEPS)
 
 
@@ -157,11 +154,6 @@ def members(group):
     return {int(pid): args for number, pid, args in rows if int(number) == group}
 
 
-def gone(group):
-    """Return whether a process group ends within a minute."""
-    return any(not members(group) or time.sleep(0.1) for _ in range(600))
-
-
 def until_replaced(path, process):
     before = stamp(path)
     while stamp(path) in (before, None):
@@ -200,7 +192,8 @@ def test_an_interrupted_command_ends_all_processes_and_continues_when_resumed(tm
         if message:
             assert re.fullmatch(f"mmwave-loc train: {message}", errors.splitlines()[-1])
             assert not list(out.rglob(".*"))
-        assert gone(command.pid)  # training processes end, too
+        # Within a minute, training processes end, too.
+        assert any(not members(command.pid) or time.sleep(0.1) for _ in range(600))
 
     command = started(*words, "--resume")
     summary, _ = command.communicate(timeout=1800)
