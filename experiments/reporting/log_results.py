@@ -54,8 +54,6 @@ from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
 from mmwave_env.localization.readings import (
     AS_IT_IS,
-    AZIMUTH,
-    DEPARTURE,
     ELEVATION,
     Finding,
     Reading,
@@ -73,7 +71,7 @@ from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import require_clock
 from mmwave_env.models.radio import TUNED_RADIOS, Radio
 from mmwave_env.models.scene import Scene, scene_json
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
@@ -383,6 +381,12 @@ def _shared_errors(work: Work) -> dict[str, str]:
     return advice
 
 
+def _measured_links(track: Track) -> Mask:
+    """Return which of its 4 values each link of a track has (T, anchors, 4)."""
+    links = track.measurement[:, : track.layout.doppler]
+    return np.isfinite(links).reshape(len(track), -1, 4)
+
+
 def _may_be_mirrored(track: Track, scene: Scene) -> bool:
     """Tell whether a track without elevations may be on the wrong side of its anchors.
 
@@ -390,10 +394,10 @@ def _may_be_mirrored(track: Track, scene: Scene) -> bool:
     track leaves the ranges as they are.
     """
     heights = scene.anchors_m[:, 2]
-    measured = np.isfinite(track.measurement)
-    if measured[:, ELEVATION].any():
+    measured = _measured_links(track)
+    if measured[..., 2].any():
         return False
-    if on_a_line(scene.anchors_m) and not (measured[:, AZIMUTH] | measured[:, DEPARTURE]).any():
+    if on_a_line(scene.anchors_m) and not measured[..., [1, 3]].any():
         return True
     near = abs(track.x[:, 2] - heights[0]) < 2.0 * np.sqrt(track.P[:, 5])
     return bool(np.ptp(heights) < _ONE_HEIGHT_M and near.mean() > 0.1)
@@ -404,9 +408,9 @@ def _may_change_sides(track: Track, scene: Scene) -> bool:
 
     It may be on either side once it is within three standard deviations of the line.
     """
-    measured = np.isfinite(track.measurement)
-    anchors = scene.anchors_m[:, :2]
-    if (measured[:, AZIMUTH] | measured[:, DEPARTURE]).any() or not on_a_line(anchors):
+    measured = _measured_links(track)
+    anchors = scene.anchors_m[measured.any(axis=(0, 2)), :2]
+    if measured[..., [1, 3]].any() or not on_a_line(anchors):
         return False
     dx, dy = anchors[-1] - anchors[0]
     variance = track.P[:, :3] @ [dy**2, -2.0 * dx * dy, dx**2]

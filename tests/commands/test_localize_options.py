@@ -560,9 +560,14 @@ def walked(folder, anchors, y):
     return "localize", *options(folder / "log.csv", folder=folder)
 
 
-def test_a_track_near_the_line_of_its_anchors_may_change_sides(tmp_path):
+@pytest.mark.parametrize("odometry", [{}, {"speed_mps": 0.25, "heading_rad": 0.0}])
+def test_a_track_near_the_line_of_its_anchors_may_change_sides(tmp_path, odometry):
     words = walked(tmp_path, [[0, 0, 6], [60, 0, 8]], 1)
+    columns = read_columns(tmp_path / "log.csv")
+    ones = np.ones(len(columns["time_s"]))
+    write_columns(tmp_path / "log.csv", columns | {k: v * ones for k, v in odometry.items()})
     assert "warning: side: " in command(*words, "--height", 1.5).stderr
+    assert "warning: heights: " in command(*words).stderr
 
 
 def test_a_clock_that_is_ahead_lowers_a_track_without_elevations(tmp_path):

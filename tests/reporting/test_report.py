@@ -42,6 +42,7 @@ def compared(tmp_path, content):
     [
         ({"a - b": 0.5}, "a beats b by 0.500 [0.400, 0.600]"),
         ({"a - b": 0.05}, "a and b are level"),
+        ({"a - b": 0.1004}, "a and b are level"),
         ({"a - c": 0.5}, "a beats c by 0.500 [0.400, 0.600]"),
         ({}, "a has a reward of -1.000 [-1.100, -0.900]"),
     ],
