@@ -254,7 +254,7 @@ def header_of(line: str, place: str) -> tuple[list[str], str]:
     """
     delimiter = "," if "," in line else ";"
     names = [_UNNAMED.sub("", name.strip()) for name in words_of(line, delimiter)]
-    if len(names) < 2 or names[0][:1].isdigit():
+    if len(names) < 2 or names[0].lstrip("-")[:1].isdigit():
         raise LogError(f"{place}: found {line[:60]!r}, expected a header with names of columns")
     return names, delimiter
 

@@ -166,6 +166,7 @@ HEADERS = {  # name -> header, fields that the message names
     "tabs": (HEADER.replace(",", "\t"), ["line 1"]),
     "endless name": ("a" * 200_000 + "," + HEADER, ["column 'aaa"]),
     "no header": ("0,1,1e-7,0,0,0,1,20", ["line 1"]),
+    "no header, times before 0": ("-1.5,1,1e-7,0,0,0,1,20", ["line 1"]),
     "unknown": (HEADER + ",color", ["column 'color'"]),
     "users": (HEADER + ",ue", ["column 'ue'"]),
     "no unit": (HEADER.replace("toa_s", "toa"), ["column 'toa'"]),
