@@ -8,7 +8,7 @@ from experiments.console.options import CompareArgs, PageArgs
 RECORDINGS = "canyon28_pedestrian", "canyon28_vehicle"
 
 
-@dataclass(kw_only=True)
+@dataclass
 class Args:
     """Compare all policies in simulations and on two ray-traced recordings.
 

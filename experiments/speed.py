@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from experiments.console.options import JsonArgs, require_at_least
 
 
-@dataclass(kw_only=True)
+@dataclass
 class Args(JsonArgs):
     """Measure steps per second of several programs that do the same work.
 

@@ -8,7 +8,7 @@ from tyro.conf import Positional
 from experiments.console.options import require_at_least
 
 
-@dataclass(kw_only=True)
+@dataclass
 class Args:
     """Run grids of evaluations and training runs on Ray.
 

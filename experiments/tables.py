@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 
-@dataclass(kw_only=True)
+@dataclass
 class Args:
     """Reproduce Tables I, II and III of the paper and test its claims.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from experiments.console.options import ModeArgs
 
 
-@dataclass(kw_only=True)
+@dataclass
 class Args(ModeArgs):
     """Play an episode filtered by several policies, in a window or as a video.
 

@@ -92,7 +92,7 @@ def require_default(args: Any, without: str, *names: str) -> None:
             raise ValueError(f"{name}: found {getattr(args, name)} without {without}")
 
 
-@dataclass(kw_only=True)
+@dataclass
 class JsonArgs:
     """Options for results in a file."""
 
@@ -100,7 +100,7 @@ class JsonArgs:
     """write all results to this JSON file"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class WorldArgs:
     """Options for streets, users and radio, as in the environment."""
 
@@ -145,7 +145,7 @@ class WorldArgs:
     azimuth, elevation, departure and doppler (None: all)"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class ModeArgs(WorldArgs):
     """Options for modes and agents."""
 
@@ -168,7 +168,7 @@ class ModeArgs(WorldArgs):
     """flat terrain: height and vertical velocity are known"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class IntegrityArgs:
     """Options for protection levels, bounds that position errors rarely exceed."""
 
@@ -180,7 +180,7 @@ class IntegrityArgs:
     risk, if the covariances are right)"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class EpisodeArgs(ModeArgs, IntegrityArgs, JsonArgs):
     """Options for the episodes to run, and for their results."""
 
@@ -199,7 +199,7 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, JsonArgs):
     """reward to report: tracking or log-score"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class CompareArgs(EpisodeArgs):
     """Compare policies on the same seeded episodes, with paired differences.
 
@@ -232,7 +232,7 @@ class CompareArgs(EpisodeArgs):
     """draw NEES over time, with its chi-square bounds, to this file"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class LeaderboardArgs:
     """Judge policies and IMMs by the benchmark's protocol; rank all entries.
 
@@ -271,7 +271,7 @@ class LeaderboardArgs:
     seeds drawn at random, and must reach their figures"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class TaskArgs:
     """Options for the task to learn."""
 
@@ -318,7 +318,7 @@ class TaskArgs:
     """weight of the NEES in the tracking reward"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class TrainArgs(TaskArgs):
     """Train policies that choose filters, with several seeds.
 
@@ -353,7 +353,7 @@ class TrainArgs(TaskArgs):
     start"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class TuneArgs:
     """Tune the process noise of modes by the likelihood of measurements.
 
@@ -397,7 +397,7 @@ class TuneArgs:
     (.safetensors) of the network to write"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class LogArgs(IntegrityArgs, JsonArgs):
     """Compute the track of a measurement log, recorded or live.
 
@@ -528,7 +528,7 @@ class LogArgs(IntegrityArgs, JsonArgs):
     """ground-truth track in TUM format, to score the track; the filters never see it"""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class PageArgs:
     """Make one web page of results, which a browser shows offline.
 
