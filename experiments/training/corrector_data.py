@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.training.training_task import Place
-from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine, play
 from mmwave_env.engines.smoothing import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
@@ -29,14 +28,12 @@ from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
 from mmwave_env.localization.starts import gives_fix
-from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from, random_radio
 from mmwave_env.models.random_scene import WIDE_SCENE, RandomScene, RandomSurvey
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
-from mmwave_env.numerics.pytree import flatten, indices, unflatten
-from mmwave_env.world.episode import EpisodeBatch, columns_of
+from mmwave_env.world.episode import EpisodeBatch, columns_of, site_index
 from mmwave_env.world.keys import keys_at, stream_of
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory, Ways
@@ -209,14 +206,14 @@ def begin_from_a_link(batch: EpisodeBatch, source: SimulatedSource) -> None:
     if layout.has_bias:
         return
     at = columns_of(layout)
-    index = indices(blank_site(layout))
+    index = site_index(layout)
     scene = source.scene.example if isinstance(source.scene, RandomScene) else source.scene
     lower = np.tril_indices(layout.state_size)
     for table, site in zip(batch.table[:, 0], batch.site, strict=True):
-        anchors = site[flatten(index.anchors)].reshape(-1, 3)
+        anchors = site[index.anchors]
         for anchor, position in enumerate(anchors):
             link = table[at.z][layout.link(anchor)]
-            columns = np.array(at.signed_sigma)[layout.link(anchor)]
+            columns = at.signed_sigma[layout.link(anchor)]
             sigma = table[columns]
             if (sigma > 0.0).all() and gives_fix(link[None])[0]:
                 mean, covariance = prior_from_fix(position, link, sigma, source.radio, scene)
@@ -234,7 +231,7 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
     """
     source = replace(source, scene=source.scene_of(int(rng.integers(2**63))))
     batch = source.sample_batch(rng.integers(2**63, size=WAYS, dtype=np.uint64))
-    truth = batch.table[:, :, rows_of(columns_of(batch.layout).truth)]
+    truth = batch.table[:, :, columns_of(batch.layout).truth]
     truth = truth[np.ptp(truth[:, :, :2], axis=1).max(axis=1) > WEAVE_M]
     speed = np.linalg.norm(truth[:, :, 3:], axis=2, keepdims=True)
     fastest = speed.max(axis=1, keepdims=True)
@@ -252,16 +249,16 @@ def degrade(batch: EpisodeBatch, rng: np.random.Generator) -> None:
     """Make the receiver, at random, misjudge noise or orientation, or miss some anchors."""
     at = columns_of(batch.layout)
     layout = batch.layout
-    sigma = batch.table[:, :, rows_of(at.signed_sigma)]
+    sigma = batch.table[:, :, at.signed_sigma]
     if rng.random() < MISJUDGING:
         sigma *= 2.0 ** rng.uniform(-1.0, 1.0, (len(sigma), 1, 1))
     if layout.anchors > 1 and rng.random() < FEWER:
         first = layout.link(int(rng.integers(1, layout.anchors))).start
         links = sigma[:, :, first : layout.doppler]
         np.negative(np.abs(links), out=links)
-    batch.table[:, :, rows_of(at.signed_sigma)] = sigma
+    batch.table[:, :, at.signed_sigma] = sigma
     if rng.random() < TURNED:
-        azimuths = rows_of(at.z)[1 : layout.doppler : 4]
+        azimuths = at.z[1 : layout.doppler : 4]
         batch.table[:, :, azimuths] += rng.normal(0.0, ORIENTATION_RAD, (len(sigma), 1, 1))
 
 
@@ -303,7 +300,7 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Beliefs:
     parts = _played(batch, bank, base, "x", "error", "mixture", *gates)
     pipeline = Pipeline(bank.modes, batch.layout)
     at = columns_of(batch.layout)
-    hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
+    hz_per_mps = float(batch.site[0, site_index(batch.layout).hz_per_mps])
     dt = batch.table[:, :, at.dt]
     spread_hz = batch.table[:, :, at.doppler_spread_hz]
     mixture = parts["mixture"]

@@ -19,7 +19,6 @@ from experiments.training.corrector import normalization_of
 from experiments.training.corrector_data import Surveys, TrainingEpisodes
 from experiments.training.networks import perceptron
 from experiments.training.training_task import places_from
-from mmwave_env.compiler.program import rows_of
 from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
 from mmwave_env.localization.position_errors import error_sizes, gaussian_levels
 from mmwave_env.models.radio import TUNED_RADIOS
@@ -82,7 +81,7 @@ def _played(
     )
     rng = np.random.default_rng(seed)
     for radio, batch in episodes.batches(rounds):
-        time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
+        time_s = batch.table[0, :, columns_of(batch.layout).dt].cumsum()
         for names in policies:
             contender = contender_from(str(rng.choice(names)), radio)
             of = run_contender(contender, batch, after=PARTS)

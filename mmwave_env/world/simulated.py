@@ -175,7 +175,7 @@ class SimulatedSource:
             measured = rows.signed_sigma > 0.0
             episode = Episode(
                 name,
-                site[flatten(index.anchors)].reshape(-1, 3),
+                site[index.anchors],
                 scene.hz_per_mps,
                 self.time_s,
                 np.where(measured, rows.z, np.nan) if self.layout.partial else rows.z,
