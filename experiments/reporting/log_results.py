@@ -54,7 +54,6 @@ from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
 from mmwave_env.localization.readings import (
     AS_IT_IS,
-    ELEVATION,
     Finding,
     Reading,
 )
@@ -71,7 +70,7 @@ from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import require_clock
 from mmwave_env.models.radio import TUNED_RADIOS, Radio
 from mmwave_env.models.scene import Scene, scene_json
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
@@ -302,7 +301,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         raise ValueError(
             f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
         )
-    elevations = bool(np.isfinite(log.measurement[:, ELEVATION]).any())
+    elevations = bool(np.isfinite(log.links[..., 2]).any())
     switching, why = choice_of(args, name, elevations)
     if switching.policy and not np.isfinite(log.snr_db).any():
         warnings.warn(
@@ -381,12 +380,6 @@ def _shared_errors(work: Work) -> dict[str, str]:
     return advice
 
 
-def _measured_links(track: Track) -> Mask:
-    """Return which of its 4 values each link of a track has (T, anchors, 4)."""
-    links = track.measurement[:, : track.layout.doppler]
-    return np.isfinite(links).reshape(len(track), -1, 4)
-
-
 def _may_be_mirrored(track: Track, scene: Scene) -> bool:
     """Tell whether a track without elevations may be on the wrong side of its anchors.
 
@@ -394,7 +387,7 @@ def _may_be_mirrored(track: Track, scene: Scene) -> bool:
     track leaves the ranges as they are.
     """
     heights = scene.anchors_m[:, 2]
-    measured = _measured_links(track)
+    measured = np.isfinite(track.links)
     if measured[..., 2].any():
         return False
     if on_a_line(scene.anchors_m) and not measured[..., [1, 3]].any():
@@ -408,7 +401,7 @@ def _may_change_sides(track: Track, scene: Scene) -> bool:
 
     It may be on either side once it is within three standard deviations of the line.
     """
-    measured = _measured_links(track)
+    measured = np.isfinite(track.links)
     anchors = scene.anchors_m[measured.any(axis=(0, 2)), :2]
     if measured[..., [1, 3]].any() or not on_a_line(anchors):
         return False

@@ -110,9 +110,7 @@ def _physical_checks(log: Log) -> Iterator[Check]:
     if len(steps):
         for step, bound in ((np.median(steps), _USUAL_STEP_S), (steps.min(), _SHORTEST_STEP_S)):
             yield "time", step, bound, f"epochs {step:.3g} s apart"
-    visible = log.visible_links
-    links = log.measurement[:, : log.layout.doppler].reshape(*visible.shape, 4)[visible]
-    ranges, arrivals, elevations, departures = links.T
+    ranges, arrivals, elevations, departures = log.links[log.visible_links].T
     ranges = ranges[ranges > 0.0]
     if len(ranges):
         middle = np.median(ranges)
@@ -145,8 +143,7 @@ def _likelihood_checks(
         bound = Bound("a user below this anchor (with negative elevations)", most=most)
         value = f"a user above this anchor in {100.0 * above:.0f} % of epochs"
         yield "anchor 1", above, bound, value
-    elevations = log.measurement[:, 2 : log.layout.doppler : 4]
-    if np.ptp(heights_m) > _ROUNDING_M and not np.isfinite(elevations).any():
+    if np.ptp(heights_m) > _ROUNDING_M and not np.isfinite(log.links[..., 2]).any():
         # a clock that is ahead makes all ranges longer; a low user explains that, too
         lowest = min(scene.streets.height_m, *scene.anchors_m[:, 2])
         bound = Bound(

@@ -91,8 +91,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
         sigma = deviations_of(row, scene, radio)[0, :4]
         return Start(prior_from_fix(scene.anchors_m[0], link, sigma, radio, scene), spent)
     links = row.layout.anchors
-    elevations = row.measurement[0, 2 : row.layout.doppler : 4]
-    if (row.visible[0, :links] & (abs(elevations) > STEEPEST_FIX_RAD)).any():
+    if (row.visible_links & (abs(row.links[..., 2]) > STEEPEST_FIX_RAD)).any():
         return None  # near the vertical, filters can't follow
     spent[0, :links] = row.visible[0, :links]
     if solved is None:
@@ -137,14 +136,12 @@ def _latest(log: Log, epoch: int, age_s: float, scene: Scene, radio: Radio) -> t
     now = log.time_s[epoch]
     log = log.part(slice(int(np.searchsorted(log.time_s, now - age_s)), epoch + 1))
     anchors = log.layout.anchors
-    links = slice(4 * anchors)
-    shape = (-1, anchors, 4)
-    z = log.measurement[:, links].reshape(shape)
+    z = log.links
     measured = np.isfinite(z) & log.visible[:, :anchors, None]
     distance = np.where(np.isfinite(z[..., :1]), np.maximum(z[..., :1], 1.0), STARTS_M[0])
     moved_m = radio.start_velocity_mps * (now - log.time_s)[:, None, None]
     moved = moved_m / np.where(_RANGE_ROW, 1.0, distance)
-    sigma = np.hypot(deviations_of(log, scene, radio)[:, links].reshape(shape), moved)
+    sigma = np.hypot(deviations_of(log, scene, radio)[:, : 4 * anchors].reshape(z.shape), moved)
     last = len(log) - 1 - measured[::-1].argmax(axis=0, keepdims=True)
     latest = np.take_along_axis(np.where(measured, z, np.nan), last, axis=0)[0]
     return latest, np.take_along_axis(sigma, last, axis=0)[0]

@@ -61,6 +61,11 @@ class Log(Arrays):
         """Return ``visible`` of the links alone (T, L)."""
         return self.visible[:, : self.layout.anchors]
 
+    @property
+    def links(self) -> Array:
+        """Return the links (T, L, 4) of the measurement."""
+        return self.measurement[:, : self.layout.doppler].reshape(-1, self.layout.anchors, 4)
+
     def whole(self) -> "Log":
         """Return the log in the plain (not partial) layout; incomplete groups are not visible."""
         layout = replace(self.layout, partial=False)
