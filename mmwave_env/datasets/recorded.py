@@ -29,7 +29,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, clock_bias, doppler_spread, oscillator_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
-from mmwave_env.world.episode import Episode, refuse, require_increasing
+from mmwave_env.world.episode import Episode, require_increasing
 
 # Median errors of a link's range (m) and angles (rad). Medians above _FAR are warned of, medians
 # below _NEAR are not; between them, the limit depends on the noise.
@@ -195,7 +195,10 @@ class TrackSource:
     ) -> None:
         if clock != "synchronized":
             if not np.isfinite(track.measurement[:, track.layout.ranges]).any():
-                refuse(track.record, "clock", f"{clock}, but no ranges", "a track with ranges")
+                raise ValueError(
+                    f"clock of {track.record}: found {clock}, but no ranges, expected a track with "
+                    "ranges"
+                )
             partial = track.layout.partial or clock == "free"
             track = replace(track, layout=replace(track.layout, clock=clock, partial=partial))
         track.warn_of_contradictions()
@@ -373,5 +376,8 @@ def _numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None
     array = np.array(values, float)
     wanted = [n or max(m, 1) for n, m in zip(shape, array.shape, strict=False)]
     if array.ndim != len(shape) or list(array.shape) != wanted:
-        refuse(record, field, f"shape {array.shape}", f"shape {shape}".replace("None", "any"))
+        expected = str(shape).replace("None", "any")
+        raise ValueError(
+            f"{field} of {record}: found shape {array.shape}, expected shape {expected}"
+        )
     return array

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.io.files import AnyPath, read_text, refuse_in
+from mmwave_env.io.files import AnyPath, read_text
 from mmwave_env.io.lookup import is_name, quoted
 from mmwave_env.io.records import Printable
 from mmwave_env.logs.lines import number
@@ -49,7 +49,7 @@ def read_trajectory(path: AnyPath) -> Trajectory:
     """Read the only trajectory in a CSV file, as :func:`read_ways` does; refuse several."""
     ways = read_ways(path).trajectories
     if len(ways) > 1:
-        refuse_in(Path(path), f"column {ID}", f"{len(ways)} users", "one")
+        raise ValueError(f"{Path(path)}: column {ID}: found {len(ways)} users, expected one")
     return ways[0]
 
 
@@ -60,18 +60,27 @@ def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
         header = reader.fieldnames or ()
         names = COLUMNS if set(COLUMNS[4:]) & set(header) else COLUMNS[:4]
         if not set(names) <= set(header):
-            refuse_in(file, "header", quoted(",".join(header)), f"the columns {','.join(names)}")
+            titles = quoted(",".join(header))
+            expected = ",".join(names)
+            raise ValueError(f"{file}: header: found {titles}, expected the columns {expected}")
         for row in reader:
-            line = f"line {reader.line_num}"
+            line = f"{file}: line {reader.line_num}"
             if None in row or None in row.values():
-                refuse_in(file, line, "a wrong number of values", f"{len(header)}, as in line 1")
+                raise ValueError(
+                    f"{line}: found a wrong number of values, expected {len(header)}, as in line 1"
+                )
             user = row.get(ID, "")
             if ID in row and not is_name(user):
-                refuse_in(file, f"{line}, column {ID}", quoted(user), Printable.expected)
+                raise ValueError(
+                    f"{line}, column {ID}: found {quoted(user)}, expected {Printable.expected}"
+                )
             numbers = [number(row[name]) for name in names]
             for name, value in zip(names, numbers, strict=True):
                 if not math.isfinite(value):
-                    refuse_in(file, f"{line}, column {name}", quoted(row[name]), "a finite number")
+                    cell = quoted(row[name])
+                    raise ValueError(
+                        f"{line}, column {name}: found {cell}, expected a finite number"
+                    )
             yield reader.line_num, user, numbers
     except csv.Error as error:
         raise ValueError(f"{file}: found text that is not CSV ({error}), expected CSV") from error

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
-from typing import Any, BinaryIO, NoReturn, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 T = TypeVar("T")
 Json = dict[str, Any]  # an object of a JSON file
@@ -44,11 +44,6 @@ def first_line(error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"{error.args[0]}: found none"
     return str(error).partition("\n")[0] or type(error).__name__
-
-
-def refuse_in(file: Path, part: str, value: object, expected: str) -> NoReturn:
-    """Raise a ValueError about a part of a file, such as a line or a named array."""
-    raise ValueError(f"{file}: {part}: found {value}, expected {expected}")
 
 
 def open_regular(path: Path, expected: str = "a file") -> BinaryIO:

@@ -7,7 +7,7 @@ simulated or recorded.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, NoReturn, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,15 +23,13 @@ from mmwave_env.numerics.pytree import flatten, indices
 NEUTRAL_SNR_DB = 20.0  # replaces an SNR that was not measured; about the mean SNR in streets
 
 
-def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
-    """Raise a ValueError about a field of a record; ``record`` is a name like "episode 'jam'"."""
-    raise ValueError(f"{field} of {record}: found {value}, expected {expected}")
-
-
 def require_increasing(record: str, time_s: Array) -> None:
     """Refuse the times (T,) of epochs of an episode or a track unless they increase."""
     if len(time_s) < 1 or not (np.diff(time_s) > 0.0).all():
-        refuse(record, "time_s", "times that do not increase", "one or more increasing times")
+        raise ValueError(
+            f"time_s of {record}: found times that do not increase, expected one or more "
+            "increasing times"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +80,21 @@ class Episode:
     def __post_init__(self) -> None:
         self._require_shapes()
         if not (self.sigma > 0.0).all():
-            refuse(self._record, "sigma", self.sigma[~(self.sigma > 0.0)][0], "> 0 everywhere")
+            wrong = self.sigma[~(self.sigma > 0.0)][0]
+            raise ValueError(f"sigma of {self._record}: found {wrong}, expected > 0 everywhere")
         P = self.prior_covariance
         if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
-            refuse(self._record, "prior_covariance", P.tolist(), "a positive definite matrix")
+            raise ValueError(
+                f"prior_covariance of {self._record}: found {P.tolist()}, expected a positive "
+                "definite matrix"
+            )
         for field, values, bound in self._bounded():
             wrong = ~bound.holds(values)
             if wrong.any():
-                refuse(self._record, field, f"{values[wrong].flat[0]:g}", bound.expected)
+                raise ValueError(
+                    f"{field} of {self._record}: found {values[wrong].flat[0]:g}, expected "
+                    f"{bound.expected}"
+                )
 
     def _require_shapes(self) -> None:
         """Refuse arrays of wrong shapes, and times that do not increase."""
@@ -111,7 +116,9 @@ class Episode:
         for field, shape in shapes.items():
             value = getattr(self, field)
             if value is not None and value.shape != shape:
-                refuse(self._record, field, f"shape {value.shape}", f"shape {shape}")
+                raise ValueError(
+                    f"{field} of {self._record}: found shape {value.shape}, expected shape {shape}"
+                )
         require_increasing(self._record, self.time_s)
 
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
@@ -279,7 +286,9 @@ class EpisodeBatch(NamedTuple):
         layout = layout or episodes[0].layout
         for episode in episodes:
             if episode.layout != layout:
-                refuse(f"episode {episode.name!r}", "layout", episode.layout, str(layout))
+                raise ValueError(
+                    f"layout of episode {episode.name!r}: found {episode.layout}, expected {layout}"
+                )
         tables = [episode.table() for episode in episodes]
         length = np.array([len(table) for table in tables])
         table = np.empty((len(tables), length.max(), tables[0].shape[1]))

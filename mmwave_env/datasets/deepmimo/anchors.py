@@ -22,7 +22,6 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from mmwave_env.io.files import refuse_in
 from mmwave_env.models.layout import LINK
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
@@ -56,7 +55,9 @@ class StationPaths(NamedTuple):
     def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:
         """Raise a ValueError that names the file of the array ``key`` and an epoch's receiver."""
         file, receiver = self.source(key, epoch)
-        refuse_in(file, key, f"{value} of receiver {receiver}", expected)
+        raise ValueError(
+            f"{file}: {key}: found {value} of receiver {receiver}, expected {expected}"
+        )
 
     def refuse_path(self, key: str, n: int, value: str, expected: str) -> NoReturn:
         """Raise a ValueError about a path, which also names the path."""
@@ -96,12 +97,6 @@ class StationLinks(NamedTuple):
         """Return which anchors (K,) are images in the ground, a mirror below the station."""
         normal = self.anchors_m[0] - self.anchors_m
         return np.asarray(normal[:, 2] > _FLAT * np.linalg.norm(normal, axis=1))
-
-    @property
-    def epochs_seen(self) -> Index:
-        """Count the epochs in which each anchor (K,) is seen."""
-        pairs = np.unique(np.column_stack([self.paths.epoch, self.member]), axis=0)
-        return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
 
     def strongest(self, anchor: int) -> Index:
         """Return the indices of the strongest paths to an anchor, one for each epoch with any."""

@@ -14,7 +14,7 @@ from mmwave_env.datasets.deepmimo.anchors import TOLERANCE_M, StationLinks, Stat
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import COLUMNS, read_trajectory
-from mmwave_env.io.files import AnyPath, refuse_in
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import as_name
 from mmwave_env.models.layout import LINK
 from mmwave_env.numerics.numbers import Array, Index
@@ -122,7 +122,9 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
     rows = len(scenario.scenes) if scenario.is_dynamic else scenario.receivers
     if len(way.time_s) != rows:
         owner = "scene" if scenario.is_dynamic else "receiver in rx_pos"
-        refuse_in(file, "rows", len(way.time_s), f"{rows}, one for each {owner}")
+        raise ValueError(
+            f"{file}: rows: found {len(way.time_s)}, expected {rows}, one for each {owner}"
+        )
     chosen = np.arange(rows) if scenario.is_dynamic else epochs[:, 1]
     velocity = np.asarray(way.velocity_mps)[chosen]
     lines = np.asarray(way.lines)[chosen]
@@ -130,11 +132,9 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
     away = np.linalg.norm(way.position_m - position, axis=1) > TOLERANCE_M
     if away.any():
         i = int(np.argmax(away))
-        refuse_in(
-            file,
-            f"line {np.asarray(way.lines)[i]}, columns x, y, z",
-            way.position_m[i].tolist(),
-            f"{position[i].tolist()}, as in rx_pos",
+        raise ValueError(
+            f"{file}: line {np.asarray(way.lines)[i]}, columns x, y, z: found "
+            f"{way.position_m[i].tolist()}, expected {position[i].tolist()}, as in rx_pos"
         )
     return way
 
@@ -146,8 +146,7 @@ def _links(
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
-        epochs_seen = links.epochs_seen
-        images.sort(key=lambda k: -epochs_seen[k])
+        images.sort(key=lambda k: -len(links.strongest(k)))
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [station for station in stations if not station.is_reflected.all()]
     if not in_sight:
@@ -158,4 +157,4 @@ def _links(
             "a line of sight in this file or in the file of another station",
         )
     by_station = [find_links(station, position_m) for station in in_sight]
-    return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]
+    return [(links, 0) for links in sorted(by_station, key=lambda links: -len(links.strongest(0)))]

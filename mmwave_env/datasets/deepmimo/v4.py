@@ -19,7 +19,7 @@ from mmwave_env.datasets.deepmimo.anchors import (
     TOLERANCE_M,
     StationPaths,
 )
-from mmwave_env.io.files import Json, open_regular, read_json, refuse_in
+from mmwave_env.io.files import Json, open_regular, read_json
 from mmwave_env.io.records import between, require
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
@@ -141,11 +141,9 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
         return (folder,)
     scenes = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
     if len(scenes) != count:
-        refuse_in(
-            folder / PARAMS,
-            "scene.num_scenes",
-            repr(count),
-            f"{len(scenes)}, the number of sub-folders with receivers",
+        raise ValueError(
+            f"{folder / PARAMS}: scene.num_scenes: found {count!r}, expected {len(scenes)}, the "
+            "number of sub-folders with receivers"
         )
     return tuple(scenes)
 
@@ -181,11 +179,9 @@ def _read_station(scenario: Scenario, epochs: Index, station: str) -> StationPat
     moved = np.linalg.norm(places - places[0], axis=1) > TOLERANCE_M
     if moved.any():
         scene = int(np.argmax(moved))
-        refuse_in(
-            scenario.file(scene, "tx_pos", station),
-            "tx_pos",
-            places[scene].tolist(),
-            f"{places[0].tolist()}, as in the first scene: stations must not move",
+        raise ValueError(
+            f"{scenario.file(scene, 'tx_pos', station)}: tx_pos: found {places[scene].tolist()}, "
+            f"expected {places[0].tolist()}, as in the first scene: stations must not move"
         )
 
     def source(key: str, epoch: int) -> tuple[Path, int]:
@@ -247,7 +243,8 @@ def _require_finite(
     if bad.any():
         row, *rest = index = np.argwhere(bad)[0].tolist()
         place = ", ".join(map(str, [rows[row], *rest]))
-        refuse_in(file, f"{key}[{place}]", array[tuple(index)], "a finite number")
+        number = array[tuple(index)]
+        raise ValueError(f"{file}: {key}[{place}]: found {number}, expected a finite number")
 
 
 def read_array(
@@ -275,9 +272,10 @@ def read_array(
             ".npz file of numbers"
         ) from error
     if stored.dtype.kind not in "fiu":
-        refuse_in(file, key, f"type {stored.dtype}", "real numbers")
+        raise ValueError(f"{file}: {key}: found type {stored.dtype}, expected real numbers")
     pairs = zip(shape, stored.shape, strict=False)
     wanted = tuple(n if isinstance(length, str) else length for length, n in pairs)
     if len(shape) != stored.ndim or stored.shape != wanted:
-        refuse_in(file, key, f"shape {stored.shape}", f"shape ({', '.join(map(str, shape))})")
+        expected = ", ".join(map(str, shape))
+        raise ValueError(f"{file}: {key}: found shape {stored.shape}, expected shape ({expected})")
     return np.array(stored if rows is None else stored[rows], float)
