@@ -13,7 +13,7 @@ from mmwave_env.io.files import Json
 from policies.policy_file import versions_of
 
 # options that name the files to write
-OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "out", "map_out"}
+OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "out", "map_out", "write"}
 
 
 def command_line(name: str, args: Any, aside: Collection[str]) -> str:
