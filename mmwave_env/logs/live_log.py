@@ -256,6 +256,10 @@ class LiveLog:
             if len(self._rows) >= _MOST_INCOMPLETE:
                 raise ValueError(self._problem)
             return []
+        return self._caught_up()
+
+    def _caught_up(self) -> list[LiveEpoch]:
+        """Add the rows that wait; return the epochs that are now over."""
         over = []
         while self._rows:
             over += self._added(*self._rows.pop(0))
@@ -343,10 +347,11 @@ class LiveLog:
         Raises:
             ValueError: all rows until the end, which no mappings mean, lack columns of a log.
         """
-        if self._rows and not rows:
+        if self._rows and not rows and not self._is_open:
             raise ValueError(self._problem)
+        over = self._caught_up() if self._is_open else []  # rows behind a damaged one may wait
         users = dict.fromkeys(map(_user_of, rows)) or self._arrivals
-        return [epoch for user in list(users) for epoch in self._end(user)]
+        return over + [epoch for user in list(users) for epoch in self._end(user)]
 
     def _end(self, user: str) -> list[LiveEpoch]:
         """End a user's epoch; return a list with this epoch, or [] if it has no rows yet."""
@@ -407,10 +412,13 @@ class LiveLog:
             self._waiting.clear()
             self._columns = LiveColumns(file)
             self._is_open = True
+
+            def widened(rows: list[Cells]) -> list[Cells]:
+                return [row + [nan] * (len(file.columns) - len(row)) for row in rows]
+
             for arrived in self._arrivals.values():
-                arrived.rows = [
-                    row + [nan] * (len(file.columns) - len(row)) for row in arrived.rows
-                ]
+                arrived.rows = widened(arrived.rows)
+                arrived.last = widened(arrived.last)
         self._known.update(names)
 
 
