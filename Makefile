@@ -60,7 +60,7 @@ docs: .venv-tools/.ready ## the documentation site, into site/; its warnings are
 
 LOCKED := plot filterpy render data tune
 lock: .venv-locked/.uv ## requirements.lock anew: every package that the tests without PyTorch need, by its hashes
-	printf '%s\n' setuptools pytest pytest-xdist hypothesis jsonschema gpxpy pynmea2 | .venv-locked/bin/uv pip compile \
+	printf '%s\n' setuptools pytest pytest-xdist hypothesis jsonschema gpxpy pandas pynmea2 | .venv-locked/bin/uv pip compile \
 		--quiet --universal --python-version 3.11 --generate-hashes --no-annotate -c constraints.txt \
 		--custom-compile-command "make lock" $(LOCKED:%=--extra %) pyproject.toml - -o requirements.lock
 
