@@ -123,11 +123,6 @@ def nothing(x, P, measurement, gate):
     ekf(x, P, measurement, gate)
 
 
-def flags(x, P, measurement, gate):
-    after = ekf(x, P, measurement, gate)
-    return after._replace(accepted=[q < 9.0 for q in after.nis])
-
-
 def too_few(x, P, gate):
     return ekf(x, P, None, gate)
 
@@ -136,7 +131,9 @@ RETURNS = {
     nothing: "returned None",
     changed(x=tuple): "returned x: tuple of 7",
     changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2",
-    flags: "returned accepted[0]: a condition",
+    changed(
+        accepted=lambda accepted: [a > 0.5 for a in accepted]
+    ): "returned accepted[0]: a condition",
     changed(log_likelihood=lambda value: math.nan): "returned log_likelihood nan",
     too_few: "takes 3 positional arguments",
 }
@@ -188,24 +185,21 @@ def fuses_nothing(x, P, measurement, gate):
     return Posterior(list(x), [list(row) for row in P], groups, groups, 0.0)
 
 
-def constant_likelihood(x, P, measurement, gate):
-    return ekf(x, P, measurement, gate)._replace(log_likelihood=-3.0)
-
-
 def nearly_constant_likelihood(x, P, measurement, gate):
     posterior = fuses_nothing(x, P, measurement, gate)
     likelihood = ekf(x, P, measurement, gate).log_likelihood
     return posterior._replace(log_likelihood=30.0 + 1e-9 * likelihood)
 
 
-def enormous_likelihood(x, P, measurement, gate):
-    posterior = ekf(x, P, measurement, gate)
-    return posterior._replace(log_likelihood=1e6 + posterior.log_likelihood)
-
-
 @pytest.mark.parametrize(
     "algorithm",
-    [fuses_nothing, constant_likelihood, nearly_constant_likelihood, enormous_likelihood],
+    [
+        fuses_nothing,
+        changed(log_likelihood=lambda value: -3.0),
+        nearly_constant_likelihood,
+        changed(log_likelihood=lambda value: 1e6 + value),
+    ],
+    ids=["fuses nothing", "constant", "nearly constant", "enormous"],
 )
 @pytest.mark.parametrize(
     "layout", [STREET, Layout(1), Layout(2, partial=True), Layout(3, odometry=True, clock="offset")]
