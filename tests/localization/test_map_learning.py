@@ -13,13 +13,11 @@ from mmwave_env.localization.association import associate
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.map_learning import LOOK_AHEAD, MapLearner, learn_map
 from mmwave_env.logs.log import read_paths
-from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from tests.filters.tracks import drawn
-from tests.logs.by_hand import hide_anchors
+from tests.logs.by_hand import hide_anchors, refuses_log
 from tests.paths import representative
-from tests.refusals import refuses
 
 STREET = SCENES["street"]
 STATION = replace(STREET, walls=())
@@ -201,7 +199,7 @@ def test_learning_goes_on_with_the_next_log(paths_of, drive, tmp_path, seed):
 def test_a_map_whose_base_station_moved_is_refused(paths_of, drive, moved_m):
     scene, _ = drive(2)
     station = tuple(np.add(STATION.base_station_m, moved_m).tolist())
-    with refuses("learned", error=LogError):
+    with refuses_log("learned"):
         learned([paths_of(102)[0]], scene=replace(scene, base_station_m=station))
 
 
@@ -248,7 +246,7 @@ def test_false_paths_alone_make_no_map_and_are_refused(paths_of):
     log, _ = paths_of(1, false_paths=3.0)
     links = log.links.copy()
     links[:, [1, 3]] = np.random.default_rng(0).uniform(-np.pi, np.pi, (len(links), 2))
-    with refuses("log 1 of 1", error=LogError):
+    with refuses_log("log 1 of 1"):
         learned([log._replace(links=links)])
 
 

@@ -6,14 +6,13 @@ import pytest
 from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.starts import start_at
 from mmwave_env.logs.log import read_log
-from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import RADIOS
 from tests.cli import command
 from tests.localization.mistakes import read_columns, write_columns
 from tests.localization.test_live_epochs import SCENE, WALK
-from tests.refusals import refuses
+from tests.logs.by_hand import refuses_log
 
 COLUMNS = read_columns(WALK / "log.csv")
 LINK = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
@@ -57,9 +56,9 @@ def test_standard_deviations_in_a_log_are_used_and_make_an_snr_unnecessary(tmp_p
 
 def test_a_log_without_noise_columns_is_refused_unless_an_snr_is_given(tmp_path):
     path = written(tmp_path, ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"))
-    with refuses("columns", error=LogError):
+    with refuses_log("columns"):
         read(path)
-    with refuses("snr", error=LogError):
+    with refuses_log("snr"):
         read(path, snr_db=np.nan)
     assert read(path, snr_db=15.0).visible.any()
 
@@ -99,7 +98,7 @@ def test_the_side_of_the_user_decides_between_mirrored_positions(tmp_path, x):
 )
 def test_a_log_that_cannot_give_a_track_is_refused(tmp_path, field, names, others):
     path = written(tmp_path, ("time_s", "anchor", *names), **others)
-    with refuses(field, error=LogError):
+    with refuses_log(field):
         read(path)
 
 

@@ -13,13 +13,12 @@ from mmwave_env.localization.localizer import episode_from, localize
 from mmwave_env.localization.starts import start_at
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
-from mmwave_env.logs.log_tables import LogError
 from mmwave_env.numerics.linalg import unpack
 from policies import Corrector, LearnedSwitch, load
 from tests.localization.test_live_epochs import RADIO, SCENE, WALK, walk
+from tests.logs.by_hand import refuses_log
 from tests.paths import representative
 from tests.policies.test_corrector import card, network
-from tests.refusals import refuses
 from tests.training.actors import write
 
 EPOCHS = 60
@@ -115,6 +114,6 @@ def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_aga
         tracker.update(epoch)
         undisturbed.update(epoch)
     first, second, *_ = ROWS[3]
-    with refuses(field, error=LogError):
+    with refuses_log(field):
         tracker.update([first, second | {field: wrong}])
     assert tracker.update(ROWS[3]) == undisturbed.update(ROWS[3])

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.segments import segments
-from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.logs.by_hand import damaged, log_with
+from tests.logs.by_hand import damaged, log_with, refuses_log
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
@@ -73,5 +72,5 @@ def test_a_log_without_a_position_is_refused():
     without = log(range(30), [(DOPPLER,)] * 30)
     with refuses("log"):
         times_of(without)
-    with refuses("line 7", error=LogError):
+    with refuses_log("line 7"):
         times_of(damaged(without))

@@ -2,7 +2,7 @@
 
 import gzip
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import pytest
@@ -20,6 +20,9 @@ L = 3  # number of anchors
 HEADER = "time_s,anchor,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,snr_db"
 COLUMNS = HEADER.split(",")
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
+
+# as refuses, for errors of logs
+refuses_log = partial(refuses, error=LogError)
 
 
 def rows(epochs=4):
@@ -89,7 +92,7 @@ def damaged(log):
 def delivered(path, *fields, reader=read_log):
     """Read a damaged log, whose error must name file and fields; return the epochs before it."""
     log = None
-    with refuses(path, *fields, error=LogError):
+    with refuses_log(path, *fields):
         log = reader(path, SCENE)
         if log.damage:
             raise log.damage

@@ -22,6 +22,7 @@ from tests.logs.by_hand import (
     in_body,
     read,
     read_live,
+    refuses_log,
     require_pyarrow,
     rows,
     store,
@@ -194,7 +195,7 @@ HEADERS = {  # name -> header, fields that the message names
 def test_a_wrong_header_is_refused_before_any_row_is_read(tmp_path, name):
     content, fields = HEADERS[name]
     path = store(tmp_path, content)
-    with refuses(path, *fields, error=LogError):
+    with refuses_log(path, *fields):
         read(path)
 
 
@@ -220,7 +221,7 @@ def test_a_log_that_needs_more_memory_than_there_is_is_refused_with_its_size(
 
 @pytest.mark.parametrize("name", ["log.txt", "log", "log.csv.zip", "log.gz"])
 def test_files_with_an_unknown_ending_are_refused(tmp_path, name):
-    with refuses(name, error=LogError):
+    with refuses_log(name):
         read(store(tmp_path, text(rows()), name))
 
 
@@ -229,7 +230,7 @@ def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_
     require_pyarrow(suffix)
     with refuses("nowhere", error=FileNotFoundError):
         read(tmp_path / f"nowhere{suffix}")
-    with refuses("log", error=LogError):
+    with refuses_log("log"):
         read(store(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}"))
 
 

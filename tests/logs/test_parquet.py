@@ -12,10 +12,10 @@ from tests.logs.by_hand import (
     delivered,
     episode,
     read,
+    refuses_log,
     rows,
     write_log,
 )
-from tests.refusals import refuses
 
 pyarrow = pytest.importorskip("pyarrow")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -70,7 +70,7 @@ def test_a_column_that_occurs_twice_is_refused(tmp_path):
 
 @pytest.mark.parametrize("values", [["1"] * 12, [True] * 12, [[1.0]] * 12])
 def test_columns_that_are_not_numeric_are_refused(tmp_path, values):
-    with refuses("column 'snr_db'", error=LogError):
+    with refuses_log("column 'snr_db'"):
         read(stored(tmp_path, columns_of(snr_db=values)))
 
 
@@ -96,7 +96,7 @@ def test_the_epochs_before_a_damaged_row_are_returned_before_the_error(
 def test_column_names_that_are_not_valid_text_are_refused(tmp_path):
     path = stored(tmp_path, columns_of(odd_note=[1.0] * len(rows())))
     path.write_bytes(path.read_bytes().replace(b"odd_note", b"odd\xffnote"))
-    with refuses("log.parquet", error=LogError):
+    with refuses_log("log.parquet"):
         read(path)
 
 
@@ -109,5 +109,5 @@ def test_a_file_with_a_broken_page_is_refused(tmp_path):
     middle = len(content) // 2
     content[middle : middle + 20] = bytes(20)
     path.write_bytes(content)
-    with refuses("log.parquet", error=LogError):
+    with refuses_log("log.parquet"):
         read(path)

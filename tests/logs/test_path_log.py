@@ -6,12 +6,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_checks import MOST_PATHS
-from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.logs import by_hand
-from tests.logs.by_hand import SCENE
-from tests.refusals import refuses
+from tests.logs.by_hand import SCENE, refuses_log
 
 HEADER = "time_s,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,snr_db"
 PATH = "1e-7,0.5,-0.1,-2.6,12.5,20"
@@ -90,7 +88,7 @@ def test_an_epoch_with_too_many_paths_is_refused(tmp_path):
 
 @pytest.mark.parametrize("lines", [[], ["0,,,,,,"], ["0,1e-7,,,,,20"] * 3])
 def test_a_log_without_a_complete_path_is_refused(tmp_path, lines):
-    with refuses("log.csv", error=LogError):
+    with refuses_log("log.csv"):
         read_paths(store(tmp_path, *lines), SCENE)
 
 
