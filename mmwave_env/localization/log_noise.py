@@ -61,15 +61,17 @@ def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float |
     """Return a log with the noise of rounding added to its ranges, and the step (m) of the ranges.
 
     The step is None if the ranges come in no step that matters; else the differences between
-    neighboring values of an anchor are multiples of the smallest one. The error of rounding to
-    steps of length q has the variance q^2 / 12.
+    neighboring values of an anchor are multiples of the smallest one, and values are repeated: the
+    ranges of a user at a constant speed only grow by steps. The error of rounding to steps of
+    length q has the variance q^2 / 12.
     """
     deviations = deviations_of(log, scene, radio)[:, log.layout.ranges]
     ranges = _measured(log)[:, log.layout.ranges]
-    gaps = np.concatenate([np.diff(np.unique(column)) for column in ranges.T])
+    gaps = np.diff(np.sort(ranges, axis=0), axis=0)
+    repeated = np.count_nonzero(gaps <= _SMALLEST_M)
     gaps = gaps[gaps > _SMALLEST_M]  # not NaN
     gaps = gaps[gaps < _NEAR_STEPS * gaps.min(initial=np.inf)]
-    if len(gaps) < _FEWEST:
+    if len(gaps) < _FEWEST or repeated < _FEWEST:
         return log, None
     multiples = np.round(gaps / gaps.min())
     step = float(np.median(gaps / multiples))

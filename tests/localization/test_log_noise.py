@@ -47,8 +47,8 @@ def test_standard_deviations_of_the_receiver_get_the_noise_of_rounding_too():
 
 @pytest.mark.parametrize(
     "log",
-    [LOG, rounded(0.01), with_ranges(np.nan)],
-    ids=["unrounded", "too short to matter", "without ranges"],
+    [LOG, rounded(0.01), with_ranges(np.nan), with_ranges(15.0 * LOG.time_s[:, None])],
+    ids=["unrounded", "too short to matter", "without ranges", "at a constant speed"],
 )
 def test_other_ranges_keep_their_noise(log):
     assert with_range_steps(log, STREET, RADIO) == (log, None)
