@@ -36,6 +36,7 @@ VOTES = 5  # positions that confirm a start
 # minimum time between votes: between the first ones, between later ones
 _SPACING_S = 0.25
 _LATER_SPACING_S = POOL_S
+_DRIFT_MPS = 10.0  # standard deviation of the drift of a receiver's own clock: 33 ns/s
 # The motion between votes: standard deviations of position, velocity and its change in a second
 _POSITION = np.diag([FARTHEST_M, FARTHEST_M, HEIGHT_SIGMA_M]) ** 2
 _VELOCITY = np.diag([UNKNOWN_VELOCITY_MPS, UNKNOWN_VELOCITY_MPS, 0.5]) ** 2
@@ -104,6 +105,8 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     x[among] = unknown
     P[np.ix_(among, among)] = covariance
     P[3, 3] = P[4, 4] = radio.start_velocity_mps**2
+    if row.layout.clock == "offset":
+        P[6, 6] = (_DRIFT_MPS * scene.hz_per_mps) ** 2
     return Start((x, P), spent)
 
 

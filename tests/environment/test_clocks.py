@@ -149,11 +149,28 @@ def words_of(folder):
     return folder / "log.csv", "--scene", folder / "scene.json", "--radio", "standard"
 
 
-def test_localize_estimates_the_offset(ride):
-    more = ("--truth", ride / "truth.tum", "--speed", "auto", "--clock", "offset")
-    out = succeed("localize", *words_of(ride), *more)
+def close_track(folder, log):
+    """Return what localize says about a simulated log whose track it finds."""
+    more = ("--truth", folder / "truth.tum", "--speed", "auto", "--clock", "offset")
+    out = succeed("localize", log, *words_of(folder)[1:], *more)
     smoothed = next(line for line in out.splitlines() if line.startswith("| smoothed |"))
     assert float(smoothed.split("|")[2]) < 1.0
+    return out
+
+
+def test_localize_follows_an_oscillator_that_is_wrong_by_0_1_ppm(tmp_path, ride):
+    def drifting(c):
+        return {
+            **c,
+            "toa_s": c["toa_s"] + 1e-7 * c["time_s"],
+            "doppler_hz": c["doppler_hz"] + 1e-7 * STREET.carrier_hz,
+        }
+
+    close_track(ride, wrong_log(tmp_path, ride, drifting))
+
+
+def test_localize_estimates_the_offset(ride):
+    out = close_track(ride, ride / "log.csv")
     episodes = [seeded(2, radio="standard", clock=clock) for clock in ("synchronized", "offset")]
     said = next(line for line in out.splitlines() if "clock is" in line)
     ns, deviation = map(float, re.search(r"([\d.]+) ± ([\d.]+)", said).groups())
