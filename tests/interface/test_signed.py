@@ -16,10 +16,14 @@ from mmwave_env.filters.bank import Bank
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
+from mmwave_env.models.layout import Layout
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeBatch
 
 BANK = Bank((Mode("stand", sigma_v=0.1), Mode("ride", sigma_v=2.0)))  # quick to compile
+PIPELINE = Pipeline(BANK.modes, Layout())
+# names of the features that a policy gets in order to correct a belief
+NAMES = [feature.name for feature in after_update(PIPELINE)]
 EPOCHS = 40
 N = 8
 
@@ -30,21 +34,15 @@ def episodes():
     return source.episodes(np.arange(5_000_000, 5_000_000 + N, dtype=np.uint64))
 
 
-def names_of(pipeline):
-    """Return the names of the features that a policy gets in order to correct a belief."""
-    return [feature.name for feature in after_update(pipeline)]
-
-
 def played(episodes, actions):
     """Play episodes with actions (n, T) in an environment.
 
-    Return the features of :func:`names_of` (n, T, features) and the beliefs' means (n, T, 7).
+    Return the features NAMES (n, T, features) and the beliefs' means (n, T, 7).
     """
-    pipeline = Pipeline(BANK.modes, episodes[0].layout)
-    engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)
+    engine = Engine(PIPELINE, len(episodes), TrackingReward(), "signed", BANK)
     engine.load(episodes)
     engine.step()
-    columns = [engine.observation.names.index(name) for name in names_of(pipeline)]
+    columns = [engine.observation.names.index(name) for name in NAMES]
     observed = []
     x = []
     for now in actions.T:
@@ -60,14 +58,13 @@ def random_actions():
 
 def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filter(episodes):
     actions = random_actions()
-    pipeline = Pipeline(BANK.modes, episodes[0].layout)
     observed, _ = played(episodes, actions)
     names = ("x", "P", "mixture", *(f"memory.{gate}" for gate in GATES))
-    engine = Engine(pipeline, len(episodes), observation="", bank=BANK)
+    engine = Engine(PIPELINE, len(episodes), observation="", bank=BANK)
     batch = EpisodeBatch.of(episodes)
     engine.load(batch)
     x, P, mixtures, *gates = engine.run(*names, actions=actions).values()
-    features = smoothed_features(pipeline, batch.table, batch.site, x, P, mixtures, gates)
+    features = smoothed_features(PIPELINE, batch.table, batch.site, x, P, mixtures, gates)
     # A feature compares the heading with the previous epoch's heading; the first epoch has none.
     assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
 
@@ -105,14 +102,12 @@ def test_features_do_not_depend_on_place_or_direction(episodes, angle, offset):
 
 def test_residuals_equal_the_formula_in_numpy(episodes):
     observed, x = played(episodes, random_actions())
-    pipeline = Pipeline(BANK.modes, episodes[0].layout)
-    table = Observation(pipeline, "signed", "per-mode")
-    names = names_of(pipeline)
+    table = Observation(PIPELINE, "signed", "per-mode")
 
     def value(name, i):
         """Return a feature (T,) in its own unit."""
         column = next(column for column in table.columns if column.name == name)
-        return observed[i, :, names.index(name)] * column.deviation + column.mean
+        return observed[i, :, NAMES.index(name)] * column.deviation + column.mean
 
     for i, episode in enumerate(episodes):
         step = x[i, :, :2] - episode.scene_anchors_m[1, :2]

@@ -20,10 +20,18 @@ from policies import Corrector, LearnedSwitch, load
 from policies.corrector import TwoWayCorrector
 from policies.policy_file import CORRECTIONS
 from tests.refusals import refuses
-from tests.training.actors import MODES, PER_MODE, PER_MODE_TABLE, card_of, write, write_per_mode
+from tests.training.actors import (
+    MODES,
+    PER_MODE,
+    PER_MODE_TABLE,
+    PIPELINE,
+    card_of,
+    write,
+    write_per_mode,
+)
 
-TABLE = Observation(Pipeline(MODES, Layout()), "signed", "per-mode")
-NAMES = [feature.name for feature in after_update(Pipeline(MODES, Layout()))]
+TABLE = Observation(PIPELINE, "signed", "per-mode")
+NAMES = [feature.name for feature in after_update(PIPELINE)]
 COLUMNS = tuple(column for column in TABLE.columns if column.name in NAMES)
 # sizes of the network's layers
 FEATURES = len(NAMES)
@@ -115,7 +123,7 @@ def test_the_network_equals_pytorch(path):
 
 def two_way(path):
     """Return a two-way corrector that is ready for tracks whose columns are the features NAMES."""
-    return partial(TwoWayCorrector(path), Pipeline(MODES, Layout()))
+    return partial(TwoWayCorrector(path), PIPELINE)
 
 
 @pytest.mark.torch

@@ -19,6 +19,7 @@ from tests.training.actors import (
     HANDSET,
     MODES,
     PER_MODE_TABLE,
+    PIPELINE,
     STANDARD,
     TABLE,
     actor,
@@ -136,7 +137,7 @@ def test_an_anchor_that_a_scene_lacks_counts_as_never_visible(per_mode):
 
 def test_the_error_names_a_feature_that_is_missing_or_has_another_scale(shared, per_mode):
     with refuses("feature 'coming Doppler innovation'"):
-        LearnedSwitch(shared, Observation(Pipeline(MODES, Layout()), "prior"))
+        LearnedSwitch(shared, Observation(PIPELINE, "prior"))
     with refuses("feature 'distance anchor 3'"):  # no distance can stand for a missing anchor
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout(anchors=2))))
     with refuses("feature 'coming Doppler innovation'"):

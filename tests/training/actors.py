@@ -11,13 +11,14 @@ from mmwave_env.models.layout import Layout
 from policies.policy_file import Card, to_bytes
 
 MODES = (Mode("stand", sigma_v=0.1), Mode("walk"), Mode("ride", sigma_v=2.0))  # fast to compile
-TABLE = Observation(Pipeline(MODES, Layout()))
+PIPELINE = Pipeline(MODES, Layout())
+TABLE = Observation(PIPELINE)
 FEATURES = len(TABLE)
 
 HANDSET = Bank(MODES, ((0.8, 0.1, 0.1), (0.2, 0.7, 0.1), (0.3, 0.3, 0.4)), 0.999)
 STANDARD = replace(HANDSET, modes=(replace(MODES[0], sigma_v=0.05), *MODES[1:]), nis_quantile=1.0)
 PER_MODE = {"beliefs": "per-mode", "banks": {"handset": HANDSET, "standard": STANDARD}}
-PER_MODE_TABLE = Observation(Pipeline(MODES, Layout()), "full", "per-mode")
+PER_MODE_TABLE = Observation(PIPELINE, "full", "per-mode")
 
 
 def card_of(table=TABLE, **changes):
