@@ -13,6 +13,7 @@ from mmwave_env.logs.log import read_log, read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import read_scene
+from tests.cli import assert_one_clear_line, command
 from tests.filters.tracks import seeded
 from tests.localization.mistakes import read_columns
 from tests.paths import LOGS
@@ -77,13 +78,10 @@ def test_the_chosen_user_is_named_if_a_file_has_several_users(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_existing_files_are_replaced_only_with_the_option_overwrite(tmp_path, capsys, name):
+def test_existing_files_are_replaced_only_with_the_option_overwrite(tmp_path, name):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(SystemExit) as stop:
-        simulate(tmp_path)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert stop.value.code == 2 and f"out: found {name} in {tmp_path}" in line
-    assert "--overwrite replaces" in line
+    message = f"out: found {name} in {tmp_path}.*--overwrite replaces"
+    assert_one_clear_line(command("simulate", "--out", tmp_path), message)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "mine"
     simulate(tmp_path, "--overwrite")
@@ -107,13 +105,12 @@ def test_a_log_of_paths_has_no_anchor_numbers_and_false_paths(tmp_path, capsys):
         assert abs(false - rate * len(episode)) <= 4.0 * (rate * len(episode)) ** 0.5
 
 
-def test_paths_are_refused_with_options_that_do_not_fit(tmp_path, capsys):
+def test_paths_are_refused_with_options_that_do_not_fit(tmp_path):
     for field, *options in [
         ("measurements", "--paths", "--measurements", "range"),
         ("false_paths", "--false-paths", "2"),
         ("false-paths", "--paths", "--false-paths", "-1"),
     ]:
-        with pytest.raises(SystemExit):
-            simulate(tmp_path, *options)
-        assert f" {field}: " in capsys.readouterr().err
+        done = command("simulate", *options, "--out", tmp_path)
+        assert_one_clear_line(done, f" {field}: ")
     assert not list(tmp_path.iterdir())
