@@ -7,16 +7,12 @@ import gymnasium as gym
 import pytest
 
 from tests.cli import assert_one_clear_line, command
-from tests.paths import LOGS
-
-LOG = LOGS / "canyon28_vehicle"
-RIDE = (LOG / "log.csv", "--scene", LOG / "scene.json")
 
 
 @pytest.mark.parametrize(
     ("package", "extra", "file", "words"),
     [
-        ("matplotlib", "plot", "new.png", ["localize", *RIDE, "--plot"]),
+        ("matplotlib", "plot", "new.png", ["localize", "--sample", "canyon28_vehicle", "--plot"]),
         ("filterpy", "filterpy", "new.json", ["speed", "--json"]),
         ("pygame", "render", "new.gif", ["watch", "--out"]),
     ],
