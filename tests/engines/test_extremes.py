@@ -53,11 +53,13 @@ class Quantity:
         return [(least, ASIDE * (1 if least < 0 else -1)), (most, ASIDE)]
 
 
-def prior_mean(states):
+def setting(field, rows):
+    """Return a function that sets elements of an episode's field to a value, in every epoch."""
+
     def put(episode, value):
-        prior = episode.prior_mean.copy()
-        prior[states] = value
-        return replace(episode, prior_mean=prior)
+        changed = getattr(episode, field).copy()
+        changed[..., rows] = value
+        return replace(episode, **{field: changed})
 
     return put
 
@@ -67,15 +69,6 @@ def prior_sigma(states):
         P = episode.prior_covariance.copy()
         P[states, states] = value * value if abs(value) < 1e150 else value  # P is diagonal
         return replace(episode, prior_covariance=P)
-
-    return put
-
-
-def sigma(rows):
-    def put(episode, value):
-        changed = episode.sigma.copy()
-        changed[:, rows] = value
-        return replace(episode, sigma=changed)
 
     return put
 
@@ -96,17 +89,17 @@ DOPPLER = 12
 QUANTITIES = (
     Quantity("step", envelope.STEP_S, steps),
     Quantity("position of anchors and user", envelope.POSITION_M, shifted),
-    Quantity("prior position", envelope.POSITION_M, prior_mean(slice(3))),
-    Quantity("prior velocity", envelope.VELOCITY_MPS, prior_mean(slice(3, 6))),
-    Quantity("prior bias", envelope.BIAS_HZ, prior_mean(slice(6, 7))),
+    Quantity("prior position", envelope.POSITION_M, setting("prior_mean", slice(3))),
+    Quantity("prior velocity", envelope.VELOCITY_MPS, setting("prior_mean", slice(3, 6))),
+    Quantity("prior bias", envelope.BIAS_HZ, setting("prior_mean", slice(6, 7))),
     Quantity("prior sigma of position", envelope.POSITION_SIGMA_M, prior_sigma([0, 1, 2])),
     Quantity("prior sigma of one axis", envelope.POSITION_SIGMA_M, prior_sigma([0])),
     Quantity("prior sigma of velocity", envelope.VELOCITY_SIGMA_MPS, prior_sigma([3, 4, 5])),
     Quantity("prior sigma of bias", envelope.BIAS_SIGMA_HZ, prior_sigma([6])),
-    Quantity("sigma of ranges", envelope.RANGE_SIGMA_M, sigma([0, 4, 8])),
-    Quantity("sigma of angles", envelope.ANGLE_SIGMA_RAD, sigma(ANGLES)),
-    Quantity("sigma of azimuths", envelope.ANGLE_SIGMA_RAD, sigma([1, 3, 5, 7, 9, 11])),
-    Quantity("sigma of Doppler", envelope.DOPPLER_SIGMA_HZ, sigma([DOPPLER])),
+    Quantity("sigma of ranges", envelope.RANGE_SIGMA_M, setting("sigma", [0, 4, 8])),
+    Quantity("sigma of angles", envelope.ANGLE_SIGMA_RAD, setting("sigma", ANGLES)),
+    Quantity("sigma of azimuths", envelope.ANGLE_SIGMA_RAD, setting("sigma", [1, 3, 5, 7, 9, 11])),
+    Quantity("sigma of Doppler", envelope.DOPPLER_SIGMA_HZ, setting("sigma", [DOPPLER])),
     Quantity(
         "Doppler spread", envelope.DOPPLER_SPREAD_HZ,
         lambda e, value: replace(e, doppler_spread_hz=np.full(len(e), value)),
