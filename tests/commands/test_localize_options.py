@@ -310,10 +310,9 @@ def learning(folder):
     return "--scene", folder / "base-station.json", "--radio", "standard", "--map", "learn"
 
 
-def map_options(folder, *more, logs=("log.csv",)):
+def map_options(folder, *more):
     """Return the words after ``localize`` that learn the map of a folder."""
-    files = [folder / log for log in logs]
-    return [str(word) for word in (*files, *learning(folder), *more)]
+    return [folder / "log.csv", *learning(folder), *more]
 
 
 @pytest.mark.slow
