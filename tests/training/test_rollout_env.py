@@ -117,12 +117,9 @@ def test_trying_actions_does_not_change_the_environment():
 def test_states_near_the_end_of_an_episode_are_left_out():
     """Check 16 environments, of which the first eight end an episode after 201 epochs."""
     env = environment()
-    stepped(env, 200 - HORIZON + 1)
-    assert len(env.try_all(chaotic(4)).values) == 16
-    stepped(env, 1)
-    assert len(env.try_all(chaotic(4)).values) == 8
-    stepped(env, HORIZON - 1)
-    assert len(env.try_all(chaotic(4)).values) == 16
+    for epochs, tried in ((200 - HORIZON + 1, 16), (1, 8), (HORIZON - 1, 16)):
+        stepped(env, epochs)
+        assert len(env.try_all(chaotic(4)).values) == tried
 
 
 def test_the_normalization_is_measured_on_observations_of_the_environment():

@@ -120,7 +120,6 @@ def test_the_learner_learns_which_action_is_best_and_forgets_the_oldest_states()
     model.remember(states(512, 0, turned=True)[0])
     for seed, n in enumerate((300, 200, 12), start=1):
         model.remember(states(n, seed)[0])
-    model.improve(1.0)
-    assert np.mean(model.greedy(fresh.observations) == best) > 0.95
-    model.improve(0.1)
-    assert np.mean(model.greedy(fresh.observations) == best) > 0.95
+    for left in (1.0, 0.1):
+        model.improve(left)
+        assert np.mean(model.greedy(fresh.observations) == best) > 0.95
