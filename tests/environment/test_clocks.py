@@ -15,20 +15,16 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.filters.tracks import around_a_block, assert_same_fields, replay, seeded, street_source
+from tests.environment.test_measurements import NOISY
+from tests.filters.tracks import assert_same_fields, replay, sampled, seeded, street_source
 from tests.localization.mistakes import linear, renamed, wrong_log
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
 SIGMA_M = 1e-7 * SPEED_OF_LIGHT
-SOURCES = {
-    "simulated": {},
+SOURCES = NOISY | {
     "some measurements": {"measurements": ["range", "azimuth", "doppler"]},
     "fast": {"dt": 0.1},
-    "odometry": {"odometry": True},
-    "random streets": {"scene": "random"},
-    "a trajectory": {"scenario": around_a_block()},
-    "recorded": {"episodes": "canyon28_vehicle"},
 }
 
 
@@ -40,7 +36,7 @@ def tasks(clock, **arguments):
 def pair(clock="offset", **arguments):
     """Return one episode twice: with a synchronized clock and with another one."""
     both = tasks(clock, episode_steps=40, radio="standard", **arguments)
-    return [task.source.sample(np.random.default_rng(4)) for task in both]
+    return [sampled(task.source, 4) for task in both]
 
 
 def bias_of(synchronized, offset):
