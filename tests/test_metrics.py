@@ -10,6 +10,7 @@ from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS, nees_interval, score
 
 EPOCHS = 200
 TOLERANCE = 1e-9
+every_axes = pytest.mark.parametrize("axes", [2, 3])
 
 
 def random_walk(seed, scale):
@@ -99,7 +100,7 @@ def columns(episodes=3):
     )
 
 
-@pytest.mark.parametrize("axes", [2, 3])
+@every_axes
 def test_the_summary_averages_over_all_but_the_first_ten_epochs(axes):
     reward, error, nees = columns()
     metrics = summary(error, nees, axes=axes, reward=reward)
@@ -130,7 +131,7 @@ def test_an_error_above_50_m_or_nan_at_any_epoch_counts_as_divergence(error_m, d
 
 
 @pytest.mark.parametrize("lost", [False, True])
-@pytest.mark.parametrize("axes", [2, 3])
+@every_axes
 @pytest.mark.parametrize("dt", [1e-9, 0.1, 0.3, 1.0, 2.5])
 @pytest.mark.parametrize("epochs", [1, 5, 10, 11, 12, 25, 200])
 def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes, lost):

@@ -24,10 +24,10 @@ from tests.paths import representative
 from tests.refusals import refuses
 
 ID = "MmWaveLoc-v0"
-AUTORESET = ["NextStep", "SameStep", "Disabled"]
 EKF = {"modes": ["ekf"]}
 STAY = np.zeros(3, int)  # actions
 FIRST = {"reset_mask": np.array([True, False, False])}
+every_mode = pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 
 
 class Patchy:
@@ -100,7 +100,7 @@ def sync(n, mode="NextStep", **arguments):
 # --- Gymnasium's rules
 
 
-@pytest.mark.parametrize("mode", AUTORESET)
+@every_mode
 @pytest.mark.parametrize("name", representative(CONFIGURATIONS, "recorded"))
 def test_results_share_no_memory(name, mode):
     check_memory(lambda: native(9, mode, **CONFIGURATIONS[name]))
@@ -125,7 +125,7 @@ def test_a_vector_environment_can_be_made_from_its_specification_in_json():
     assert same(rollout(env, seed=1, steps=9), rollout(again, seed=1, steps=9))
 
 
-@pytest.mark.parametrize("mode", AUTORESET)
+@every_mode
 @pytest.mark.parametrize("name", representative(CONFIGURATIONS, *QUICK))
 def test_the_native_vector_environment_equals_the_synchronous_environment(mode, name):
     configuration = CONFIGURATIONS[name]
@@ -147,7 +147,7 @@ def test_a_vector_of_n_environments_equals_n_single_environments(n):
     assert same(*(rollout(make(n, **arguments), 7, 40) for make in (native, sync)))
 
 
-@pytest.mark.parametrize("mode", AUTORESET)
+@every_mode
 def test_the_number_of_threads_does_not_matter(mode, monkeypatch):
     monkeypatch.setattr(batch, "BLOCKS_PER_THREAD", 1)
     arguments = CONFIGURATIONS["ends early"]

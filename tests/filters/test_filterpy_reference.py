@@ -35,6 +35,7 @@ TUNINGS = {
     "uncoupled": {"coupling": False},
 }
 ALGORITHMS = ("ekf", "ukf", "ckf")
+every_algorithm = pytest.mark.parametrize("algorithm", ALGORITHMS)
 
 
 def both(pipeline, episodes, actions, parts):
@@ -74,7 +75,7 @@ def test_complete_episodes_agree_with_filterpy(algorithm, name):
         assert ours["memory.lockout"].max() > 2.0
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@every_algorithm
 @pytest.mark.parametrize("walls", [(), SCENES["street"].walls], ids=["one anchor", "three anchors"])
 def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(algorithm, walls):
     scene = replace(SCENES["street"], walls=walls)
@@ -82,7 +83,7 @@ def test_episodes_with_odometry_and_one_or_three_anchors_agree_with_filterpy(alg
     assert_agree(pipeline_of(episodes[0].layout, [algorithm]), episodes)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@every_algorithm
 @pytest.mark.parametrize("name", ["adaptive and gated", "robust"])
 def test_episodes_with_missing_rows_agree_with_filterpy(algorithm, name):
     rng = np.random.default_rng(1)
@@ -90,7 +91,7 @@ def test_episodes_with_missing_rows_agree_with_filterpy(algorithm, name):
     assert_agree(pipeline_of(episodes[0].layout, [algorithm], **TUNINGS[name]), episodes)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@every_algorithm
 @pytest.mark.parametrize("clock", ["offset", "free"])
 def test_episodes_with_a_user_s_own_clock_agree_with_filterpy(algorithm, clock):
     # filterpy orders sigma points otherwise, which matters if odometry is nonlinear in the velocity

@@ -29,6 +29,7 @@ USER = np.array([21.0, -4.0, 1.5])
 SCENE = scene_of_anchors("yard", ANCHORS, 28e9, 400e6)
 RECEIVER = (RADIOS["standard"], default_modes("standard")[-1])
 FILTER = PathTracker(SCENE, *RECEIVER)
+either_end = pytest.mark.parametrize("at_station", [False, True])
 
 
 def belief(places=IMAGES, sigma_m=0.5, **image):
@@ -58,7 +59,7 @@ def test_arrivals_at_the_station_are_mirrored_in_the_wall():
         assert_allclose(arrival, expected[1:3], atol=1e-9)
 
 
-@pytest.mark.parametrize("at_station", [False, True])
+@either_end
 def test_gradients_are_those_of_finite_differences(at_station):
     _, by_p, by_a = link_rows(USER, ANCHORS, at_station)
     for axis in range(3):
@@ -108,7 +109,7 @@ def test_a_path_of_a_tentative_image_does_not_move_the_user():
     assert np.linalg.eigvalsh(updated.P).min() > 0.0
 
 
-@pytest.mark.parametrize("at_station", [False, True])
+@either_end
 def test_a_new_image_is_where_its_path_seems_to_come_from(at_station):
     b = belief(places=np.zeros((0, 3)), sigma_m=0.1)
     alone = PathTracker(SCENE.with_anchors(ANCHORS[:1]), *RECEIVER)

@@ -28,6 +28,7 @@ N = 3
 T = 40
 ANCHORS = 3
 FRESH = 5_900_000  # first tuning seed that was not used to calibrate levels
+every_risk = pytest.mark.parametrize("risk", [0.01, 0.001])
 
 
 def parts():
@@ -55,7 +56,7 @@ def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
     assert_array_equal(factors, np.ones((N, T, 2)))
 
 
-@pytest.mark.parametrize("risk", [0.01, 0.001])
+@every_risk
 def test_factors_are_positive_and_finite_for_any_outputs_of_a_filter(risk):
     x, P, nis, accepted, rejected, trusted = parts().values()
     levels = Levels(risk)
@@ -105,7 +106,7 @@ def test_gaussian_levels_follow_from_the_covariances():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", ["street:handset", "o1:standard", "dynamic-doppler:high"])
-@pytest.mark.parametrize("risk", [0.01, 0.001])
+@every_risk
 def test_errors_exceed_levels_at_most_as_often_as_stated(pair, risk):
     """Fail only if 300 episodes show with 99.9 % confidence that errors exceed levels too often."""
     scene, radio = pair.split(":")

@@ -38,6 +38,8 @@ from tests.localization.mistakes import FOLDERS
 
 AWAY = "is away from its place"
 DRIFT = "the user's clock drifts: ranges grow too long"
+every_folder = pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+every_scenario = pytest.mark.parametrize("scenario", ["pedestrian", "vehicle"])
 
 
 def errors_of(reading):
@@ -73,7 +75,7 @@ ERRORS = {  # name -> (error, its size, in the unit of the suspect)
 }
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+@every_folder
 @pytest.mark.parametrize("name", ERRORS)
 def test_an_error_of_a_shipped_log_is_named_and_sized(folder, name):
     error, size = ERRORS[name]
@@ -82,7 +84,7 @@ def test_an_error_of_a_shipped_log_is_named_and_sized(folder, name):
     np.testing.assert_array_less(abs(noticed.theta - size), 4.0 * noticed.sigma + 0.05)
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+@every_folder
 def test_a_shipped_log_shows_no_error(folder):
     assert errors_of(sample(folder)) == []
 
@@ -174,7 +176,7 @@ COUNTS = {  # name -> (error, name of the suspect, least number of 24 that are n
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["pedestrian", "vehicle"])
+@every_scenario
 @pytest.mark.parametrize("case", COUNTS)
 def test_most_errors_in_simulated_logs_are_named(case, scenario):
     error, name, least = COUNTS[case]
@@ -184,14 +186,14 @@ def test_most_errors_in_simulated_logs_are_named(case, scenario):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("radio", ["handset", "standard"])
-@pytest.mark.parametrize("scenario", ["pedestrian", "vehicle"])
+@every_scenario
 def test_correct_logs_seldom_show_an_error(radio, scenario):
     alarms = [bool(errors_of(r)) for r in readings(100, radio, scenario)]
     assert sum(alarms) <= 3
 
 
 @pytest.mark.parametrize("rows", [[0, 4, 8], [0, 1, 4, 5, 8, 9]], ids=["ranges", "with azimuths"])
-@pytest.mark.parametrize("scenario", ["pedestrian", "vehicle"])
+@every_scenario
 def test_logs_that_lack_quantities_seldom_show_an_error(rows, scenario):
     logs = [only(r, rows) for r in readings(12, scenario=scenario)]
     assert sum(bool(errors_of(r)) for r in logs) <= 1

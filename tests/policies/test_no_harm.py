@@ -134,6 +134,7 @@ STARTS = ("as simulated", "from a link")
 # reward that the corrector may lose where it does not see an error: the published training loses
 # about 0.045 in both kinds of tracks
 LOSSES = {("azimuths 3 degrees off", "handset"): 0.1}
+every_radio = pytest.mark.parametrize("radio", ["handset", "standard"])
 
 
 def played(name, radio, episodes):
@@ -211,14 +212,14 @@ def test_the_corrector_earns_hardly_less_than_its_base_policy_in_any_case(case):
 
 
 @pytest.mark.parametrize("start", STARTS)
-@pytest.mark.parametrize("radio", ["handset", "standard"])
+@every_radio
 @pytest.mark.parametrize("error", SHARED)
 def test_the_corrector_earns_hardly_less_where_all_links_are_wrong_together(error, radio, start):
     most = LOSSES.get((error, radio), MOST_HARM)
     assert shared_gain("corrector", error, radio, start).mean() > -most
 
 
-@pytest.mark.parametrize("radio", ["handset", "standard"])
+@every_radio
 @pytest.mark.parametrize("street", ["home", "random"])
 def test_of_tracks_that_begin_from_a_link_at_most_three_in_a_thousand_lose_much(street, radio):
     source = simulated(radio)
