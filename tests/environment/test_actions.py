@@ -14,12 +14,9 @@ from numpy.testing import assert_allclose
 from mmwave_env.engines.vector_step import exceeds
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
-from tests.environment.test_vector_env import native, sync
+from tests.environment.test_vector_env import ID, PER_MODE, native, sync
 from tests.environment.vector_checker import forward, same
 from tests.refusals import refuses
-
-ID = "mmwave_env:MmWaveLoc-v0"
-PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):

@@ -12,12 +12,9 @@ from gymnasium.envs.registration import EnvSpec
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.interface.reward import LogScore
-from tests.environment.test_vector_env import Patchy
+from tests.environment.test_vector_env import EKF, ID, Patchy
 from tests.environment.vector_checker import same
 from tests.refusals import refuses
-
-ID = "MmWaveLoc-v0"
-EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
