@@ -35,6 +35,11 @@ def rows(out):
     return dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table().to_pylist()
 
 
+def written_ns(paths):
+    """Return when files were written, by their paths."""
+    return {path: path.stat().st_mtime_ns for path in paths}
+
+
 def wait_for_rows(out, running, count):
     while len(list(out.glob("[!.]*.parquet"))) < count and running.poll() is None:
         time.sleep(0.05)
@@ -91,13 +96,13 @@ def test_rows_equal_the_results_of_compare_and_new_cells_are_added(tmp_path):
     file = written(tmp_path, SMALL.replace(', "imm"]', "]"))
     out = tmp_path / "out"
     succeed("sweep", file, "--out", out, "--workers", "1")
-    before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
+    before = written_ns(out.iterdir())
     larger = written(tmp_path, SMALL.replace('"imm"', '"imm", "nobody"'))
     done = command("sweep", larger, "--out", out)
     assert done.returncode == 2 and "6 cells, 2 of them already in" in done.stderr
     assert re.search(r"^failed: policy nobody, seed 3, .*found 'nobody'", done.stderr, re.MULTILINE)
     assert "2 of 6 cells failed, the others are in" in done.stderr
-    assert {path: path.stat().st_mtime_ns for path in before} == before and len(rows(out)) == 4
+    assert written_ns(before) == before and len(rows(out)) == 4
     for row in rows(out):
         words = ["--policies", row["policy"], "--seed", row["seed"], "--episodes", "3"]
         succeed("compare", *words, "--episode-steps", "30", "--episodes-csv", tmp_path / "rows.csv")
@@ -126,10 +131,10 @@ def test_a_killed_or_interrupted_sweep_can_be_continued_and_leaves_no_process(tm
     while ray_processes() - others and time.monotonic() < until:
         time.sleep(0.5)
     assert not ray_processes() - others
-    kept = {path: path.stat().st_mtime_ns for path in out.glob("[!.]*.parquet")}
+    kept = written_ns(out.glob("[!.]*.parquet"))
     assert 2 <= len(kept) < 8
     succeed("sweep", file, "--out", out)
-    assert len(rows(out)) == 8 and {p: p.stat().st_mtime_ns for p in kept} == kept
+    assert len(rows(out)) == 8 and written_ns(kept) == kept
 
 
 TRAIN = """
