@@ -74,12 +74,16 @@ def test_tracks_in_map_files_are_named_after_the_log_and_one_run_writes_several_
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
     line = json_in(mapped / "t.geojson")["features"][0]
     assert track.name == line["properties"]["name"] == "my_ride"
-    tables = [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
+
+    def tables():
+        return [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")]
+
+    before = tables()
     assert "t.geojson (smoothed track), new/t.tum (smoothed track), new/t.csv (" in shown
     # naming t.csv, too, changes nothing, nor does a second track with this table
     succeed(*MAPPED, "new/t.tum", "new/t.txt", "new/t.csv", cwd=mapped)
     succeed(*MAPPED, "new/t.tum", "new/t.txt", cwd=mapped)
-    assert [(mapped / "new" / f"t.{ending}").read_text() for ending in ("tum", "csv")] == tables
+    assert tables() == before
 
 
 @pytest.mark.parametrize("wrong", ["t.kml", "scene.json", "my_ride.csv.gz", "no_map.csv"])
