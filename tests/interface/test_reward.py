@@ -29,6 +29,7 @@ from mmwave_env.interface.reward import (
 from mmwave_env.numerics.numbers import log, maximum, sqrt, where
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_at, stream_of
+from tests.environment.test_env import roll
 from tests.refusals import refuses
 from tests.training.actors import MODES
 
@@ -220,15 +221,9 @@ def test_a_paired_return_is_the_return_minus_the_imms_return_even_if_an_episode_
         for reward in ("paired", "tracking"):
             task = DIVERGING | {"reward": reward, "terminate_on_divergence": True}
             env = gym.make("MmWaveLoc-v0", **task)
-            env.reset(seed=seed)
-            over = False
-            earned = 0.0
-            while not over:
-                _, now, terminated, truncated, _ = env.step(0)
-                over = terminated or truncated
-                earned = earned + now
-            returns.append(earned)
-            ended += terminated
+            steps = roll(env, seed)
+            returns.append(sum(now for _, now, *_ in steps))
+            ended += steps[-1][2]
         paired, tracking = returns
         imm = imm_rewards(seed, 1, REWARDS["tracking"], **DIVERGING).sum(dtype=float)
         assert paired == pytest.approx(tracking - imm, rel=1e-5)
