@@ -98,12 +98,10 @@ def results(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_results_match_their_schema(results):
-    validate = pytest.importorskip("jsonschema").validate
-    validate(results[0], SCHEMA)
+def test_results_of_one_episode_match_the_schema_without_intervals():
     _, alone = with_json("compare", "--episodes", 1, "--episode-steps", 15)
     assert alone["policies"]["speed-rule"]["reward"]["ci95"] is None
-    validate(alone, SCHEMA)
+    pytest.importorskip("jsonschema").validate(alone, SCHEMA)
 
 
 def test_the_option_percentiles_adds_percentiles_to_the_printed_tables_and_to_json(results):
