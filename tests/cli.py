@@ -67,14 +67,16 @@ def printed(code):
     return done.stdout
 
 
-def started(*words, **options):
+def started(*words, program=("-m", "experiments.console"), **options):
     """Start ``mmwave-loc <words>`` with pipes for output; return the new process.
+
+    Another ``program`` of Python may get the words instead.
 
     The options are passed to ``subprocess.Popen``; they override the usual arguments.
     """
     usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     usual |= {"env": environment(), "cwd": ROOT}
-    words = [sys.executable, "-m", "experiments.console", *map(str, words)]
+    words = [sys.executable, *program, *map(str, words)]
     return subprocess.Popen(words, **usual | options)
 
 

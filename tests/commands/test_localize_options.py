@@ -20,6 +20,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, started, succeed, with_json
 from tests.commands.localizing import RIDE, STREET, WALK, figures, lines_of, options, refused
+from tests.console.test_signals import heed
 from tests.filters.tracks import sampled
 from tests.localization.mistakes import (
     AZIMUTHS,
@@ -362,18 +363,8 @@ def test_a_live_map_without_a_track_is_not_written_and_a_wrong_name_is_refused_f
 def test_a_live_map_is_written_if_the_program_is_ended(tmp_path, number):
     words = learning(STREET)
     file = tmp_path / "map.json"
-    pipes = {
-        "stdin": subprocess.PIPE,
-        "stdout": subprocess.PIPE,
-        "stderr": subprocess.DEVNULL,
-        "text": False,
-    }
-
-    def heed_interrupts():  # a process that a shell starts in the background ignores them
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-    pipes["preexec_fn"] = heed_interrupts
-    child = started("localize", "-", "--live", *words, "--map-out", file, **pipes)
+    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": False}
+    child = started("localize", "-", "--live", *words, "--map-out", file, **pipes, preexec_fn=heed)
     with child:
         child.stdin.write((STREET / "log.csv").read_bytes())
         child.stdin.flush()

@@ -1,13 +1,13 @@
 """Tests of the disk cache of compiled functions: versions, folders, and files of other users."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 import mmwave_env
+from tests import cli
 
 pytestmark = pytest.mark.slow
 SOURCES = {
@@ -45,8 +45,7 @@ def started(package, script=SCRIPT, **variables):
     # Write no bytecode: Python would still run it after an edit that keeps a file's time and size.
     own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
     every = {name: value for name, value in (clean | own | variables).items() if value is not None}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen([sys.executable, "-c", script], env=every, cwd=home, **pipes)
+    return cli.started(program=("-c", script), env=every, cwd=home)
 
 
 def finished(process):

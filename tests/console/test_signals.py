@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 from functools import partial
 
@@ -11,7 +10,6 @@ import pytest
 
 from experiments.console.signals import ENDING, heed_signals
 from tests.cli import environment, started
-from tests.paths import ROOT
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
@@ -43,18 +41,16 @@ def heed():
 @pytest.fixture
 def writing(tmp_path):
     """Return a function that starts WRITING, waits for "writing" and returns the process."""
-    started = []
+    begun = []
 
     def start(before=heed):
-        words = [sys.executable, "-c", WRITING, str(tmp_path / "result.json")]
-        options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        options |= {"env": environment(), "cwd": ROOT, "preexec_fn": before}
-        started.append(subprocess.Popen(words, **options))
-        assert started[-1].stdout.readline() == "writing\n"
-        return started[-1]
+        program = ("-c", WRITING)
+        begun.append(started(tmp_path / "result.json", program=program, preexec_fn=before))
+        assert begun[-1].stdout.readline() == "writing\n"
+        return begun[-1]
 
     yield start
-    for process in started:
+    for process in begun:
         process.kill()
         process.communicate()
 
