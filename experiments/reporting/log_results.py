@@ -116,7 +116,11 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         facts = log_facts(log, scene)
         cured = best.cure and (best.shared or not best.contradictions)
         # a wrong convention looks like noise of angles, or a clock that jumps
-        notes = [] if (cured and best.misread) or lost else list(noise_notes(reading, step_m))
+        notes = (
+            []
+            if (cured and best.misread) or lost
+            else list(noise_notes(reading, step_m, args.correlation))
+        )
     corrected = best.scene if cured and best.scene is not scene else None
     text = f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}"
     if args.write and corrected:
@@ -153,7 +157,7 @@ def _confirmed(
     if best is as_it_is or best.misread:
         with suppress(ValueError):  # values may be too wrong for a track
             work = _work(args, files, scene)
-            _, doubts = _consistency(work, _track(args, work))
+            _, doubts = _consistency(args, work, _track(args, work))
             if fits or not doubts:
                 findings.remove(as_it_is)
                 findings.insert(0, as_it_is._replace(contradictions=doubts))
@@ -358,10 +362,16 @@ def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) ->
     )
 
 
-def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
+def _consistency(args: LogArgs, work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     """Return statistics of a track's measurements, and what contradicts the scene or the radio."""
     groups = group_statistics(track, track.accepted, track.nis)
-    return groups, contradictions(work.log, work.scene, work.radio, groups, track.x[:, 2])
+    judged = groups
+    if args.correlation:  # then the filter adds noise, so that a small NIS is no mistake
+        judged = {
+            name: group | {"nis_per_dof": max(group["nis_per_dof"] or 1.0, 1.0)}
+            for name, group in groups.items()
+        }
+    return groups, contradictions(work.log, work.scene, work.radio, judged, track.x[:, 2])
 
 
 def _shared_errors(work: Work) -> dict[str, str]:
@@ -433,7 +443,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
             scores["truth"] = accuracy | {"levels": args.levels}
     if track.damage:
         scores["error"] = str(track.damage)
-    groups, doubts = _consistency(work, track)
+    groups, doubts = _consistency(args, work, track)
     odd = [f"{doubt}; --diagnose looks for a likely mistake" for doubt in doubts]
     errors = _shared_errors(work)
     odd += [f"the log looks as if {e}; {UNSEEN}; {advice}" for e, advice in errors.items()]

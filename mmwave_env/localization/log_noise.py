@@ -102,9 +102,12 @@ def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
     return (share, float(np.median(abs(usual[jumps])))) if share >= _JUMPS else None
 
 
-def noise_notes(reading: Reading, step_m: float | None) -> Iterator[str]:
+def noise_notes(
+    reading: Reading, step_m: float | None, correlation_s: float = 0.0
+) -> Iterator[str]:
     """Yield sentences on the noise of a log, whose ranges come in steps, and on what to do.
 
+    A filter that knows for how long errors last, ``correlation_s``, needs no sentence on it.
     The noise of angles is that of the first epochs after errors that all links share are undone.
     If the clock jumps, nothing is said about other noise, which can't be told from the jumps.
     """
@@ -121,12 +124,12 @@ def noise_notes(reading: Reading, step_m: float | None) -> Iterator[str]:
     with suppress(ValueError):  # no epoch determines a position, or the track is lost
         part = scanned(reading)
         if part:
-            yield from _notes_on_angles(without_errors(part, shared_errors(part)))
+            yield from _notes_on_angles(without_errors(part, shared_errors(part)), correlation_s)
         else:
             yield _TOO_SHORT
 
 
-def _notes_on_angles(reading: Reading) -> Iterator[str]:
+def _notes_on_angles(reading: Reading, correlation_s: float) -> Iterator[str]:
     """Yield sentences on the angles of a reading without errors."""
     log = reading.log
     sigma = reading.sigma
@@ -149,7 +152,7 @@ def _notes_on_angles(reading: Reading) -> Iterator[str]:
             other = f"give the log columns {columns}, or use another --radio"
             cure = f"correct {columns} in the log" if stated else other
             yield f"the noise of {name} is {factor:.2f} times as large as stated: {cure}"
-    if scaled:
+    if scaled and not correlation_s:
         yield from _correlation(np.concatenate(scaled, axis=1), log.time_s)
 
 

@@ -614,6 +614,11 @@ def test_an_error_that_all_links_share_is_warned_of_and_corrected(tmp_path, name
     assert done.returncode == 0 and done.stderr == ""
 
 
+def test_innovations_are_small_without_a_warning_if_their_errors_last():
+    done = command("localize", *ride(RIDE / "log.csv", "--speed", "auto", "--correlation", 20))
+    assert done.returncode == 0 and done.stderr == ""
+
+
 @pytest.mark.slow
 def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_written(tmp_path):
     scene = tmp_path / "corrected.json"

@@ -95,6 +95,8 @@ def test_correlated_errors_of_angles_are_noted():
     assert any(
         re.match("errors of angles last about .* use --correlation", note) for note in notes(log)
     )
+    known = list(noise_notes(READING._replace(log=log), None, correlation_s=5.0))
+    assert not any("--correlation" in note for note in known)
 
 
 def test_measurements_in_every_other_epoch_have_no_correlation():
