@@ -39,18 +39,20 @@ from tests.paths import json_in
 WORDS = ("localize", "-", "--live", "--scene", WALK / "scene.json", "--radio", "standard")
 
 
-def live(content, *more):
-    """Run the command with bytes as input; return its JSON lines, error lines and exit code."""
+def live(content, *more, code=0):
+    """Run the command with bytes as input, and check its exit code.
+
+    Return its JSON lines and its error lines.
+    """
     done = command(*WORDS, *more, stdin=content)
+    assert done.returncode == code
     positions = [json.loads(line) for line in done.stdout.splitlines()]
-    return positions, done.stderr.splitlines(), done.returncode
+    return positions, done.stderr.splitlines()
 
 
 def positions_of(content, *more):
     """Return the positions of a user whose speed is given."""
-    positions, _, code = live(content, "--speed", "1", *more)
-    assert code == 0
-    return positions
+    return live(content, "--speed", "1", *more)[0]
 
 
 def first_rows(count):
@@ -70,15 +72,19 @@ def as_json(lines, whole):
     return "\n".join(map(json.dumps, objects)).encode()
 
 
-def test_live_output_has_a_line_per_epoch_and_ends_like_a_track_file(tmp_path):
-    content = (WALK / "log.csv").read_bytes()
-    positions, errors, code = live(content, "--speed", "1")
-    # The only line of standard error explains the choice of modes.
-    assert code == 0 and len(positions) == 400 and len(errors) == 1
-    track = tmp_path / "t.tum"
-    figures(WALK, "--speed", "1", "--radio", "standard", "--no-smoothing", "--out", track)
+def assert_ends_like_a_track_file(positions, track, *more, **options):
+    """Localize the walk or a log, and check that the filtered track has the same end."""
+    figures(WALK, "--radio", "standard", "--no-smoothing", "--out", track, *more, **options)
     last = read_tum(track).position_m[-1]
     assert positions[-1]["position_m"] == pytest.approx(last, abs=1e-9)
+
+
+def test_live_output_has_a_line_per_epoch_and_ends_like_a_track_file(tmp_path):
+    content = (WALK / "log.csv").read_bytes()
+    positions, errors = live(content, "--speed", "1")
+    # The only line of standard error explains the choice of modes.
+    assert len(positions) == 400 and len(errors) == 1
+    assert_ends_like_a_track_file(positions, tmp_path / "t.tum", "--speed", "1")
     assert positions[0]["begins"] and not any(p["begins"] for p in positions[1:])
 
 
@@ -95,9 +101,9 @@ def test_the_first_json_rows_may_lack_columns(kept):
     sparse = {name: first[name] for name in ("time_s", "anchor", *kept)} | {"speed_mps": 1.0}
     moving = [row | {"speed_mps": 1.0, "heading_rad": 0.0} for row in others]
     lines = [json.dumps(sparse), "{damaged", *map(json.dumps, moving)]
-    positions, errors, code = live("\n".join(lines).encode(), "--speed", "1")
+    positions, errors = live("\n".join(lines).encode(), "--speed", "1")
     assert "line 2: found '{damaged'" in errors[0]
-    assert code == 0 and len(positions) == len({row["time_s"] for row in others})
+    assert len(positions) == len({row["time_s"] for row in others})
     assert "odometry" in positions[-1]["nis"]
 
 
@@ -107,11 +113,8 @@ def test_the_default_policy_depends_on_the_columns_and_not_on_the_first_epoch(tm
     columns["aoa_elevation_rad"][:3] = np.nan
     log = tmp_path / "log.csv"
     write_columns(log, columns)
-    track = tmp_path / "t.tum"
-    figures(WALK, "--radio", "standard", "--no-smoothing", "--out", track, log=log, truth=False)
-    positions, _, _ = live(log.read_bytes())
-    last = read_tum(track).position_m[-1]
-    assert positions[-1]["position_m"] == pytest.approx(last, abs=1e-9)
+    positions, _ = live(log.read_bytes())
+    assert_ends_like_a_track_file(positions, tmp_path / "t.tum", log=log, truth=False)
 
 
 def test_keys_may_appear_while_the_first_positions_are_judged():
@@ -132,8 +135,7 @@ def test_keys_may_appear_while_the_first_positions_are_judged():
 )
 def test_what_contradicts_the_first_positions_causes_a_warning(tmp_path, folder, name, doubt):
     log = wrong_log(tmp_path, folder, MISTAKES[name])
-    _, (_, *warnings), code = live(log.read_bytes(), "--scene", folder / "scene.json", "--speed", 1)
-    assert code == 0
+    _, (_, *warnings) = live(log.read_bytes(), "--scene", folder / "scene.json", "--speed", 1)
     assert any(doubt in warning for warning in warnings)
 
 
@@ -141,8 +143,8 @@ def test_rows_of_several_users_give_the_lines_of_each_alone():
     alone = positions_of(first_rows(60))
     header, *rows = lines_of()[:61]
     both = [f"{row},{user}" for row in rows for user in "ab"]
-    lines, errors, code = live("\n".join([f"{header},ue", *both]).encode(), "--speed", "1")
-    assert code == 0 and len(errors) == 1
+    lines, errors = live("\n".join([f"{header},ue", *both]).encode(), "--speed", "1")
+    assert len(errors) == 1
     for user in "ab":
         assert [line for line in lines if line["ue"] == user] == [{"ue": user} | p for p in alone]
 
@@ -198,8 +200,8 @@ def test_options_of_live_positions_are_refused_where_they_would_be_ignored(words
 def test_damaged_and_late_rows_are_reported_and_left_out():
     content = first_rows(30) + b"\x00\xff noise\n" + b"0.0,1,1e-7,0,0,0,0,20,0\n" + b"x" * 70_000
     tail = "\n".join(lines_of()[31:61]).encode()
-    positions, errors, code = live(content + b"\n" + tail, "--speed", "1")
-    assert code == 0 and positions == positions_of(first_rows(60))
+    positions, errors = live(content + b"\n" + tail, "--speed", "1")
+    assert positions == positions_of(first_rows(60))
     warned = [line for line in errors if line.startswith("warning")]
     assert [line.split(":")[1].strip() for line in warned] == [
         "standard input, line 32", "standard input, line 33, column 'time_s'",
@@ -209,16 +211,16 @@ def test_damaged_and_late_rows_are_reported_and_left_out():
 
 def test_a_damaged_row_of_an_epoch_loses_no_other_row_and_csv_may_have_semicolons_and_a_mark():
     damaged = as_json(lines_of()[:31], True).replace(b"}, {", b'}, {"time_s": "x"}, {')
-    positions, errors, code = live(damaged, "--speed", "1")
+    positions, errors = live(damaged, "--speed", "1")
     marked = b"\xef\xbb\xbf\n" + first_rows(30).replace(b",", b";")
-    assert code == 0 and len(errors) > 9 and positions == positions_of(marked)
+    assert len(errors) > 9 and positions == positions_of(marked)
 
 
 def test_a_live_log_that_determines_no_position_says_so_after_some_seconds():
     rows = [f"{t},1,{50 + t},20" for t in range(30)]
     content = "\n".join(["time_s,anchor,range_m,snr_db", *rows, ""]).encode()
-    positions, errors, code = live(content, "--speed", "1")
-    assert code == 0 and not positions and len(errors) == 2
+    positions, errors = live(content, "--speed", "1")
+    assert not positions and len(errors) == 2
     assert (
         "found no position in 10 s, only the columns anchor, range_m, snr_db, time_s of anchor 1;"
         in errors[0]
@@ -227,8 +229,8 @@ def test_a_live_log_that_determines_no_position_says_so_after_some_seconds():
 
 @pytest.mark.parametrize("content", [b"", b"\n", b"time,mood\n1,2\n", b'{"rows": 5}\n', b"[1]\n"])
 def test_input_that_is_not_a_log_is_refused_in_one_line(content):
-    positions, errors, code = live(content)
-    assert not positions and code == 2 and len(errors) == 1
+    positions, errors = live(content, code=2)
+    assert not positions and len(errors) == 1
 
 
 @pytest.mark.parametrize(
@@ -245,8 +247,8 @@ def test_input_that_is_not_a_log_is_refused_in_one_line(content):
     ],
 )
 def test_options_that_conflict_with_live_are_refused(more):
-    _, errors, code = live(first_rows(3), *more)
-    assert code == 2 and more[0].removeprefix("--").removeprefix("no-") in errors[0].split(":")[1]
+    _, errors = live(first_rows(3), *more, code=2)
+    assert more[0].removeprefix("--").removeprefix("no-") in errors[0].split(":")[1]
 
 
 def ride(log, *more):
@@ -336,8 +338,8 @@ def test_a_map_is_learned_from_the_sample_written_and_used(tmp_path):
 def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(tmp_path):
     words = learning(STREET)
     lines = (STREET / "log.csv").read_text().splitlines()
-    of_csv, errors, code = live("\n".join(lines).encode(), *words, "--map-out", tmp_path / "a.json")
-    assert code == 0 and not errors and of_csv[-1]["images"] == 2
+    of_csv, errors = live("\n".join(lines).encode(), *words, "--map-out", tmp_path / "a.json")
+    assert not errors and of_csv[-1]["images"] == 2
     assert [line["time_s"] for line in of_csv] == [*range(200)]
     assert live(as_json(lines, True), *words)[0] == of_csv
     scene = read_scene(STREET / "base-station.json")
@@ -352,10 +354,10 @@ def test_a_live_map_without_a_track_is_not_written_and_a_wrong_name_is_refused_f
     words = learning(STREET)
     # on a line of sight, arrival and departure are opposite
     head = b"time_s,range_m,aoa_azimuth_deg,aod_azimuth_deg,snr_db\n0,100,10,10,20\n"
-    positions, (warning,), code = live(head, *words, "--map-out", tmp_path / "map.json")
-    assert code == 0 and not positions and "no path with which a track can begin" in warning
-    _, (line,), code = live(head, *words, "--map-out", tmp_path / "map.csv")
-    assert code == 2 and "map-out" in line and not list(tmp_path.iterdir())
+    positions, (warning,) = live(head, *words, "--map-out", tmp_path / "map.json")
+    assert not positions and "no path with which a track can begin" in warning
+    _, (line,) = live(head, *words, "--map-out", tmp_path / "map.csv", code=2)
+    assert "map-out" in line and not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
@@ -380,8 +382,8 @@ def test_a_live_map_that_explains_few_paths_causes_one_warning(tmp_path):
     words = ["--paths", "--false-paths", "12", "--episode-steps", "50", "--seed", "5"]
     run("simulate", [*words, "--radio", "standard", "--out", str(tmp_path)])
     scene = learning(tmp_path)
-    positions, (warning,), code = live((tmp_path / "log.csv").read_bytes(), *scene)
-    assert code == 0 and len(positions) > 30
+    positions, (warning,) = live((tmp_path / "log.csv").read_bytes(), *scene)
+    assert len(positions) > 30
     assert re.search(r"map: found \d+ of \d+ paths .* expected 25% or more", warning)
 
 
@@ -397,16 +399,16 @@ def test_a_live_map_that_explains_few_paths_causes_one_warning(tmp_path):
 )
 def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(more):
     words = learning(STREET)
-    _, (line,), code = live((STREET / "log.csv").read_bytes(), *words, *more)
-    assert code == 2 and f"{more[0].removeprefix('--')}: cannot be combined with --map" in line
+    _, (line,) = live((STREET / "log.csv").read_bytes(), *words, *more, code=2)
+    assert f"{more[0].removeprefix('--')}: cannot be combined with --map" in line
 
 
 def test_a_live_map_does_not_replace_the_scene(tmp_path):
     scene = tmp_path / "base-station.json"
     scene.write_bytes((STREET / scene.name).read_bytes())
     content = (STREET / "log.csv").read_bytes()
-    _, (line,), code = live(content, *learning(tmp_path), "--map-out", scene)
-    assert code == 2 and f"map-out: found {scene}" in line
+    _, (line,) = live(content, *learning(tmp_path), "--map-out", scene, code=2)
+    assert f"map-out: found {scene}" in line
     assert scene.read_bytes() == (STREET / scene.name).read_bytes()
 
 
