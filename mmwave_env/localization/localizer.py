@@ -191,6 +191,7 @@ def localize(
         ValueError: no epoch determines a position with which a track could begin.
     """
     localizer = Localizer(log.layout, scene, radio, switching, height_m, levels, correlation_s)
+    log = log.without_steep_angles()
     parts = segments(log, scene, radio)
     visible = log.visible.copy()
     for part in parts:  # here, because a chunk may have fewer epochs than a start spends

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import Log, PathLog, log_of, paths_of, places
+from mmwave_env.logs.log import STEEP_RAD, Log, PathLog, log_of, paths_of, places
 from mmwave_env.logs.log_checks import MOST_PATHS, first_damage, without_lost
 from mmwave_env.logs.log_columns import (
     BODY,
@@ -111,7 +111,7 @@ class LiveColumns:
 
         Values are in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured;
         anchors are counted from 0. The result is None if some angles are not in the map's frame, or
-        if the scene corrects measurements.
+        are steep, or if the scene corrects measurements.
         """
         if not self._is_quick:
             return None
@@ -129,6 +129,9 @@ class LiveColumns:
                     placed[place] = wrapped(number) if turned else number
                     if first == doppler:
                         doppler_anchor = anchor
+        elevations = placed[2:doppler:4]
+        if any(abs(elevation) > STEEP_RAD for elevation in elevations):
+            return None
         return placed, doppler_anchor
 
 
@@ -151,16 +154,17 @@ class LiveEpoch(NamedTuple):
 
 
 def log_from(epochs: Iterable[LiveEpoch]) -> Log:
-    """Return epochs of a user, or an epoch of each of T users, as a log.
+    """Return epochs of a user, or an epoch of each of T users, as a log without steep angles.
 
     The times of users need not increase.
     """
-    return Log.joined(
+    log: Log = Log.joined(
         [
             log_of(columns.table([epoch.rows for epoch in some]))
             for columns, some in groupby(epochs, key=lambda epoch: epoch.columns)
         ]
     )
+    return log.without_steep_angles()
 
 
 @dataclass(slots=True)

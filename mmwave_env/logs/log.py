@@ -13,6 +13,7 @@ have a Doppler shift, because it is not known yet which path belongs to the base
 needs a range and an azimuth of arrival, and an SNR or standard deviations.
 """
 
+import math
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +27,10 @@ from mmwave_env.logs.log_tables import Arrays, LogError, Table, read_table
 from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask
+
+# Users within 10 degrees of the vertical below or above an anchor are so near to its foot that a
+# filter's linearization of the azimuth fails: tracks of users who stood there and left were lost.
+STEEP_RAD = math.radians(80.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,22 @@ class Log(Arrays):
         visible[:, layout.anchors] &= self.doppler_anchor == 0
         incomplete = self.incomplete | lost
         return replace(self, layout=layout, visible=visible & self.visible, incomplete=incomplete)
+
+    def without_steep_angles(self) -> "Log":
+        """Return the log without the angles of links that are nearly vertical.
+
+        They are kept in epochs in which no other anchor has an azimuth.
+        """
+        azimuths = self.visible_links & np.isfinite(self.links[..., 1])
+        several = azimuths.sum(axis=1, keepdims=True) > 1
+        steep = several & (abs(self.links[..., 2]) > STEEP_RAD)
+        if not steep.any():
+            return self
+        angles = np.zeros_like(self.measurement, np.bool_)
+        angles[:, self.layout.angles[: 3 * self.layout.anchors]] = np.repeat(steep, 3, axis=1)
+        measurement = np.where(angles, np.nan, self.measurement)
+        visible, _ = whole_groups(measurement, np.isfinite(self.snr_db), self.layout)
+        return replace(self, measurement=measurement, visible=visible & self.visible)
 
 
 def read_log(

@@ -9,9 +9,11 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.textbook import Sensor, tangent
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.tracker import Tracker
 from mmwave_env.models.layout import wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
+from policies import load
 from tests.filters.tracks import nees_of, process_noise, unpacked
 from tests.logs.by_hand import read
 from tests.paths import representative
@@ -41,6 +43,7 @@ RECEIVERS = {  # name -> columns that are measured, time step in s, number of an
 }
 MODE = Mode("plain", gate=None, adaptive=False, recovery=None, sigma_v=0.3, sigma_vz=0.005)
 RADIO = RADIOS["standard"]
+GUIDED = load("guided")
 WALKS = 8
 EPOCHS = 120
 SETTLED = 20  # number of first epochs whose errors are not compared
@@ -116,3 +119,39 @@ def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, 
         error = track.x[:, :axes] - truth[begins:, :axes]
         nees.append(nees_of(error[SETTLED:], track.P[SETTLED:]).mean())
     assert np.mean(nees) == pytest.approx(axes, rel=0.15)
+
+
+@pytest.mark.parametrize("anchors", [2, 3])
+def test_a_user_who_stands_below_an_anchor_and_walks_away_is_localized_by_all(tmp_path, anchors):
+    corners = np.array([[0.0, 0.0, 3.0], [6.0, 0.0, 3.0], [3.0, 5.0, 3.0]])
+    scene = scene_of_anchors("room", corners[:anchors], 28e9, 100e6)
+    sensor = Sensor(scene.anchors_m, scene.hz_per_mps)
+    times = np.repeat(np.arange(40.0), anchors)
+    columns = {"time_s": times, "anchor": np.tile(np.arange(anchors) + 1, 40)}
+    nees = []
+    for seed in range(WALKS):
+        rng = np.random.default_rng(seed)
+        away = 1.2 * np.maximum(np.arange(40.0) - 20.0, 0.0)
+        turn = rng.uniform(0.0, 2.0 * np.pi)
+        foot = rng.normal(0.0, 0.1, 2)
+        way = np.array([np.cos(turn), np.sin(turn)])
+        truth = np.column_stack([foot + away[:, None] * way, np.ones(40)])
+        exact = [sensor.h(np.array([*position, *np.zeros(4)]))[:-1] for position in truth]
+        links = np.reshape(exact, (-1, 4))
+        for name, (place, unit, sigma) in [*ROWS.items()][:4]:
+            value = np.degrees(links[:, place]) if place else links[:, place]
+            noisy = value + sigma * rng.standard_normal(len(times))
+            columns[f"{name}_{unit}"] = np.maximum(noisy, -90.0) if place == 2 else noisy
+            columns[f"{name}_sigma_{unit}"] = np.full(len(times), sigma)
+        table = pd.DataFrame(columns)
+        table.to_csv(tmp_path / "log.csv", index=False)
+        log = read(tmp_path / "log.csv", scene)
+        track = localize(log, scene, RADIO, GUIDED)
+        assert len(track) == 40
+        nees.append(nees_of(track.smooth_x[:, :3] - truth, track.smooth_P).mean())
+    assert np.median(nees) < 4.0
+    tracker = Tracker(scene, GUIDED, RADIO)
+    rows = table.to_dict("records")
+    live = [tracker.update(rows[i : i + anchors]) for i in range(0, len(rows), anchors)]
+    epochs = localize(log, scene, RADIO, GUIDED, window=None)
+    np.testing.assert_array_equal([position.position_m for position in live], epochs.x[:, :3])
