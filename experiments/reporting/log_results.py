@@ -174,6 +174,7 @@ def _hypothesis(finding: Finding, scene: Scene) -> Json:
 
 
 _ONE_HEIGHT_M = 0.5  # if heights differ by less, ranges hardly tell what is above the anchors
+_UNCERTAIN_HEIGHT_M = 2.0  # with this deviation, heights of other anchors do not tell it, either
 LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
 
 
@@ -393,8 +394,8 @@ def _shared_errors(work: Work) -> dict[str, str]:
 def _may_be_mirrored(track: Track, scene: Scene) -> bool:
     """Tell whether a track without elevations may be on the wrong side of its anchors.
 
-    Anchors of one height have a side above and one below. Around anchors on a line, any turn of the
-    track leaves the ranges as they are.
+    Anchors of one height have a side above and one below. So do a few anchors if the height is
+    uncertain. Around anchors on a line, any turn of the track leaves the ranges as they are.
     """
     heights = scene.anchors_m[:, 2]
     measured = np.isfinite(track.links)
@@ -402,7 +403,10 @@ def _may_be_mirrored(track: Track, scene: Scene) -> bool:
         return False
     if on_a_line(scene.anchors_m) and not measured[..., [1, 3]].any():
         return True
-    near = abs(track.x[:, 2] - heights[0]) < 2.0 * np.sqrt(track.P[:, 5])
+    deviation = np.sqrt(track.P[:, 5])
+    if np.median(deviation) > _UNCERTAIN_HEIGHT_M:
+        return True
+    near = abs(track.x[:, 2] - heights[0]) < 2.0 * deviation
     return bool(np.ptp(heights) < _ONE_HEIGHT_M and near.mean() > 0.1)
 
 
@@ -449,8 +453,8 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     odd += [f"the log looks as if {e}; {UNSEEN}; {advice}" for e, advice in errors.items()]
     if args.height is None and _may_be_mirrored(track, work.scene):
         odd.append(
-            "heights: without elevations, anchors of one height, or ranges of anchors on a line, "
-            "do not say how high the user is; if the ground is flat, add --height"
+            "heights: without elevations, few anchors, anchors of one height, or ranges of anchors "
+            "on a line do not say how high the user is; if the ground is flat, add --height"
         )
     if _may_change_sides(track, work.scene):
         odd.append(

@@ -525,15 +525,17 @@ def test_a_wrong_doppler_shift_is_found_in_a_log_without_departures(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("anchors", "warned"),
+    ("anchors", "clock", "warned"),
     [
-        ([[0, 0, 3], [60, 0, 3], [60, 40, 3], [0, 40, 3]], True),
-        ([[0, 0, 10], [60, 0, 10], [60, 40, 10], [0, 40, 10]], False),
-        ([[0, 0, 6], [60, 0, 8]], True),
+        ([[0, 0, 3], [60, 0, 3], [60, 40, 3], [0, 40, 3]], "synchronized", True),
+        ([[0, 0, 10], [60, 0, 10], [60, 40, 10], [0, 40, 10]], "synchronized", False),
+        ([[0, 0, 6], [60, 0, 8]], "synchronized", True),
+        ([[0, 0, 8], [60, 0, 10], [30, 50, 9]], "synchronized", False),
+        ([[0, 0, 8], [60, 0, 10], [30, 50, 9]], "offset", True),
     ],
 )
-def test_anchors_that_may_mirror_a_track_cause_a_warning(tmp_path, anchors, warned):
-    words = walked(tmp_path, anchors, 20)
+def test_anchors_that_may_mirror_a_track_cause_a_warning(tmp_path, anchors, clock, warned):
+    words = (*walked(tmp_path, anchors, 20), "--clock", clock)
     assert ("warning: heights:" in command(*words).stderr) == warned
     assert command(*words, "--height", 1.5).stderr == ""
 
