@@ -252,8 +252,8 @@ def _findings(readings: Sequence[Reading], first: int) -> list[Finding]:
                 begun = reading.with_start(first)
                 if begun.start is None:
                     raise ValueError(
-                        "the first epochs determine no position, or an anchor is straight above or "
-                        "below the user"
+                        "the first epochs determine no position, or two, between which --start "
+                        "decides; or an anchor is straight above or below the user"
                     )
                 episodes.append(begun.episode)
                 tracked.append(begun)

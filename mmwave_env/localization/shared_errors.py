@@ -72,6 +72,7 @@ _MOST_WILD_ROUNDS = 10
 _STRICTEST = 5.0  # largest factor by which the limits are higher in shorter logs
 _CERTAIN = 3.0  # standard deviations by which a part of an error differs from 0
 _DIGITS = 3  # decimals of sizes
+_OPPOSITES = {"long": "short", "large": "small", "higher": "lower"}  # of words in names
 _NANOSECOND_M = 1e-9 * SPEED_OF_LIGHT
 
 
@@ -183,7 +184,7 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
     if arrival or departure:
         yield _TURN
     if distance and not reading.log.layout.has_bias:
-        cure = ", or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
+        cure = ", or use --clock offset if the user's clock is off, by {1:+.3g} ns"
         late = _range("ranges", range(len(rows)), cure)
         if not elevation:
             late = late._replace(least=_LEAST_WITHOUT_HEIGHT_M)
@@ -238,11 +239,17 @@ class SharedError(NamedTuple):
     rivals: Sequence[str] = ()  # names of other suspects that explain the log about as well
 
     def __str__(self) -> str:
-        sizes = [", ".join(f"{number:.2f}" for number in each) for each in (self.theta, self.sigma)]
+        name = self.suspect.name
+        theta = self.theta
+        for word, opposite in _OPPOSITES.items():
+            if word in name and theta[0] < 0.0:
+                name = name.replace(word, opposite)
+                theta = -theta
+        sizes = [", ".join(f"{number:.2f}" for number in each) for each in (theta, self.sigma)]
         if self.suspect.parameters > 1:
             sizes = [f"({size})" for size in sizes]
         others = f" (or {', or '.join(self.rivals)})" if self.rivals else ""
-        return f"{self.suspect.name} by {' ± '.join(sizes)} {self.suspect.unit}{others}"
+        return f"{name} by {' ± '.join(sizes)} {self.suspect.unit}{others}"
 
     def undone(self, reading: Reading) -> Reading:
         """Return a reading in which the error is undone, with words and cure."""
@@ -351,6 +358,7 @@ def shared_errors(reading: Reading | None, rounds: int = _MOST_ROUNDS) -> list[S
             for k in [*range(len(errors))] * 2:  # refine sizes in turn, with the others undone
                 rest = without_errors(reading, errors[:k] + errors[k + 1 :])
                 errors[k] = _refined(rest, errors[k], runs=1)
+            errors = [error for error in errors if _counts(error)]
         corrected = without_errors(reading, errors)
     return [error._replace(theta=error.theta.round(_DIGITS)) for error in errors]
 
@@ -398,9 +406,8 @@ def _likeliest(reading: Reading, among: Collection[Suspect]) -> SharedError | No
         (new,) = innovations([suspect.correct(reading, error.theta)])
         limit = _MOST_DEVIATIONS * suspect.deviation
         single = suspect.parts and len(_parts(error)) < 2
-        small = np.linalg.norm(error.theta) < suspect.least
-        unsure = np.linalg.norm(error.theta / error.sigma) < _CERTAIN
-        if not (single or small or unsure or _is_lost(new)) and abs(error.theta).max() < limit:
+        extreme = abs(error.theta).max() >= limit
+        if _counts(error) and not (single or extreme or _is_lost(new)):
             cost = suspect.cost + _COST * suspect.parameters
             candidates.append(error._replace(gain=float((rho(w) - rho(new)).sum()) - cost))
     if not candidates:
@@ -417,6 +424,12 @@ def _likeliest(reading: Reading, among: Collection[Suspect]) -> SharedError | No
 
 def _loss(error: SharedError) -> float:
     return -error.gain
+
+
+def _counts(error: SharedError) -> bool:
+    """Tell whether an error is large enough, and certain."""
+    certain = np.linalg.norm(error.theta / error.sigma) >= _CERTAIN
+    return bool(certain and np.linalg.norm(error.theta) >= error.suspect.least)
 
 
 def _parts(error: SharedError) -> list[SharedError]:
