@@ -23,6 +23,7 @@ _AHEAD_S = 4.0  # the upper edge is at least as far from the center as a user mo
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.8  # the estimate stays within this central fraction of the map's height
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
+_PATH_M = 4.0  # width of the paths on which pedestrians cross blocks
 LINKS = {"accepted": 1.2, "rejected": 1.6, "missing": 1.0}  # widths of the lines of links
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
@@ -69,7 +70,7 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
     canvas.clip(view.frame)
     canvas.fill("ground", view.frame)
     if history.scene:
-        _draw_streets(canvas, view, history.scene.streets)
+        _draw_streets(canvas, view, history.scene.streets, history.truth[-_TRAIL:])
         _draw_walls(canvas, view, history.scene)
     _draw_links(canvas, view, history)
     _draw_tracks(canvas, view, history)
@@ -77,8 +78,8 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
     canvas.clip(None)
 
 
-def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
-    """Draw houses, and between them streets with an assumed width."""
+def _draw_streets(canvas: Canvas, view: View, streets: Streets, truth: Array) -> None:
+    """Draw houses, and between them streets and the path of the user, with assumed widths."""
     half = min(_STREET_M, streets.block_m / 4.0) / 2.0
     extents = streets.x_m, streets.y_m
     corners = np.transpose(extents) + [[-half], [half]]
@@ -89,6 +90,8 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
             ends = corners.copy()
             ends[:, axis] = place
             canvas.line(view.pixels(ends), "street", 2.0 * half * view.scale)
+    if len(truth) > 1:
+        canvas.line(view.pixels(truth), "street", _PATH_M * view.scale)
 
 
 def _draw_walls(canvas: Canvas, view: View, scene: Scene) -> None:
