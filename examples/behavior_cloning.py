@@ -1,7 +1,10 @@
-"""Minari: behavior cloning of the policy `guided`, from the data set that the command below makes.
+"""Minari: behavior cloning of the policy `guided`, from a data set of at least 10 episodes.
 
 python examples/minari_collect.py guided --episodes 300 --id mmwave-loc/guided-v0
+python examples/behavior_cloning.py mmwave-loc/guided-v0
 """
+
+import sys
 
 import minari
 import numpy as np
@@ -11,10 +14,11 @@ from experiments.evaluation.compare import compare
 
 torch.manual_seed(0)
 torch.set_num_threads(1)  # the network is too small for more threads to help
-dataset = minari.load_dataset("mmwave-loc/guided-v0")
+dataset = minari.load_dataset(sys.argv[1])
 episodes = [(episode.observations[:-1], episode.actions) for episode in dataset]
-learned = [torch.tensor(np.concatenate(parts)) for parts in zip(*episodes[:-30], strict=True)]
-held_out = [torch.tensor(np.concatenate(parts)) for parts in zip(*episodes[-30:], strict=True)]
+held = len(episodes) // 10
+learned = [torch.tensor(np.concatenate(parts)) for parts in zip(*episodes[:-held], strict=True)]
+held_out = [torch.tensor(np.concatenate(parts)) for parts in zip(*episodes[-held:], strict=True)]
 network = torch.nn.Sequential(
     torch.nn.Linear(dataset.observation_space.shape[0], 64),
     torch.nn.Tanh(),

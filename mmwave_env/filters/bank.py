@@ -116,7 +116,10 @@ def as_written(mode: Mode) -> Json:
         ValueError: the mode's algorithm is a function, which cannot be written to a file.
     """
     if not isinstance(mode.algorithm, str):
-        raise ValueError(f"algorithm of mode {mode.name!r}: found a function, expected a name")
+        raise ValueError(
+            f"algorithm of mode {mode.name!r}: found a function, expected a name, as files contain "
+            "no code; a policy in a module of yours may have any algorithm"
+        )
     default = asdict(Mode("default"))
     always = ("name", "algorithm", "sigma_p", "sigma_v")
     return {k: v for k, v in asdict(mode).items() if k in always or v != default[k]}
