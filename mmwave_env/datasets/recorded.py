@@ -337,7 +337,7 @@ class Recording(Track):
         rows[:, layout.doppler] = scene.hz_per_mps * range_rate(list(away.T), list(velocity.T))
         wrap_angles(rows, layout)
         gain = _numbers(record, "path_gain_db", path_gain_db, (T, layout.anchors))
-        visible, _ = whole_groups(rows, np.isfinite(gain), layout)
+        visible = whole_groups(np.isfinite(rows), np.isfinite(gain), layout)
         visible[:, layout.anchors] = visible[:, 0]
         return cls(
             name=name,

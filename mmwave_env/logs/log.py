@@ -74,10 +74,10 @@ class Log(Arrays):
     def whole(self) -> "Log":
         """Return the log in the plain (not partial) layout; incomplete groups are not visible."""
         layout = replace(self.layout, partial=False)
-        visible, lost = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
-        visible[:, layout.anchors] &= self.doppler_anchor == 0
-        incomplete = self.incomplete | lost
-        return replace(self, layout=layout, visible=visible & self.visible, incomplete=incomplete)
+        whole = whole_groups(np.isfinite(self.measurement), np.isfinite(self.snr_db), layout)
+        incomplete = self.incomplete | (self.visible & ~whole)
+        whole[:, layout.anchors] &= self.doppler_anchor == 0
+        return replace(self, layout=layout, visible=whole & self.visible, incomplete=incomplete)
 
     def without_steep_angles(self) -> "Log":
         """Return the log without the angles of links that are nearly vertical.
@@ -92,7 +92,7 @@ class Log(Arrays):
         angles = np.zeros_like(self.measurement, np.bool_)
         angles[:, self.layout.angles[: 3 * self.layout.anchors]] = np.repeat(steep, 3, axis=1)
         measurement = np.where(angles, np.nan, self.measurement)
-        visible, _ = whole_groups(measurement, np.isfinite(self.snr_db), self.layout)
+        visible = whole_groups(np.isfinite(measurement), np.isfinite(self.snr_db), self.layout)
         return replace(self, measurement=measurement, visible=visible & self.visible)
 
 
@@ -220,7 +220,7 @@ def log_of(table: Table, wrap: bool = True, number: Array | None = None) -> Log:
     heard = np.isfinite(snr)
     lost = without_noise(measurement, sigma, heard, shifted, layout)
     measurement[lost] = np.nan
-    visible, _ = whole_groups(measurement, heard, layout)
+    visible = whole_groups(np.isfinite(measurement), heard, layout)
     return Log(
         layout=layout,
         time_s=table["time"][starts],

@@ -200,26 +200,23 @@ def wrapped(angles: Number) -> Number:
     return where((angles >= -PI) & (angles < PI), angles, moved)
 
 
-def whole_groups(measurement: Array, heard: Mask, layout: Layout) -> tuple[Mask, Mask]:
-    """Return two masks (T, groups): measured groups, and groups lost due to a missing row or SNR.
+def whole_groups(measured: Mask, heard: Mask, layout: Layout) -> Mask:
+    """Return a mask (T, groups) of groups that can be used.
 
-    In a partial layout, a group is measured if any of its rows is, and no group is ever lost.
+    In a partial layout, any row of a group is enough; else all rows and an SNR are needed.
 
     Args:
-        measurement: (T, rows), NaN where not measured.
+        measured: (T, rows) whether a row was measured.
         heard: (T, L) whether a link's SNR is known. The SNR determines the noise of the link's
             rows; the first link's SNR also determines the noise of the Doppler shift.
         layout: layout of the measurements.
     """
-    starts = layout.starts
-    finite = np.isfinite(measurement)
     if layout.partial:
-        some = np.logical_or.reduceat(finite, starts, axis=1)
-        return some, np.zeros_like(some)
-    whole = np.logical_and.reduceat(finite, starts, axis=1)
+        return np.logical_or.reduceat(measured, layout.starts, axis=1)
+    whole = np.logical_and.reduceat(measured, layout.starts, axis=1)
     whole[:, : layout.anchors] &= heard
     whole[:, layout.anchors] &= heard[:, 0]
-    return whole, np.logical_or.reduceat(finite, starts, axis=1) & ~whole
+    return whole
 
 
 def without_noise(
@@ -232,7 +229,8 @@ def without_noise(
     """Return a mask (T, rows) of measured rows that are lost because their noise is unknown.
 
     Args:
-        measurement, heard, layout: same as for :func:`whole_groups`.
+        measurement: (T, rows), NaN where not measured.
+        heard, layout: same as for :func:`whole_groups`.
         sigma: (T, rows) the receiver's own standard deviations, NaN where it states none.
         doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured.
     """

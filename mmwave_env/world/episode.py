@@ -204,9 +204,7 @@ class Episode:
 
         :func:`~mmwave_env.models.layout.whole_groups` says when a group is whole.
         """
-        finite = np.where(self._finite, 0.0, np.nan)
-        measured, _ = whole_groups(finite, np.isfinite(self.snr_db), self.layout)
-        return self.visible & measured
+        return self.visible & whole_groups(self._finite, np.isfinite(self.snr_db), self.layout)
 
     @property
     def _finite(self) -> Mask:
@@ -233,7 +231,7 @@ class Episode:
         layout = replace(self.layout, partial=True)
         rows = self.used & offered_rows(layout, measurements)
         measurement = np.where(rows, self.measurement, np.nan)
-        visible, _ = whole_groups(measurement, self.visible, layout)
+        visible = whole_groups(rows, self.visible, layout)
         return replace(self, measurement=measurement, visible=visible, layout=layout)
 
     def table(self) -> Array:
