@@ -1,6 +1,7 @@
 """Pictures of the first environments of a vector environment, for Gymnasium's vector wrappers."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from mmwave_env.rendering.theme import Pixels
 DRAWN = 16  # maximum number of pictures; more would be too small to read and need much memory
 
 
+@dataclass(eq=False)
 class Gallery:
     """Recorder and painter of n environments, or only of the first :data:`DRAWN` if n is larger.
 
@@ -27,22 +29,17 @@ class Gallery:
         modes, size, theme: same as for :func:`~mmwave_env.rendering.picture.draw_picture`.
     """
 
-    def __init__(
-        self,
-        n: int,
-        rows: Mapping[str, Any],
-        axes: int,
-        modes: Sequence[str],
-        size: int,
-        theme: str,
-    ) -> None:
-        self._n = n
-        self._rows = rows
-        self._axes = axes
-        self._drawn_by = (modes, size, theme)
-        # by the environment's index: the episode's name and scene, and values of its epochs
-        self._recorded: dict[int, tuple[str, Scene | None, list[dict[str, Any]]]] = {}
-        self._window: Any = None
+    n: int
+    rows: Mapping[str, Any]
+    axes: int
+    modes: Sequence[str]
+    size: int
+    theme: str
+    # by the environment's index: the episode's name and scene, and values of its epochs
+    _recorded: dict[int, tuple[str, Scene | None, list[dict[str, Any]]]] = field(
+        default_factory=dict
+    )
+    _window: Any = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state for a copy, without the window, which can't be copied."""
@@ -62,13 +59,13 @@ class Gallery:
         """
         for index in indices[indices < DRAWN].tolist():
             self._recorded[index] = names[index], scene(index), []
-        self.add(indices, np.full(self._n, NO_MODE), workspace)
+        self.add(indices, np.full(self.n, NO_MODE), workspace)
 
     def add(self, indices: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:
         """Record the epoch that some environments just processed with their ``actions`` (n,)."""
         for index in indices[indices < DRAWN].tolist():
             numbers = workspace(index)
-            values = {key: numbers[rows].copy() for key, rows in self._rows.items()}
+            values = {key: numbers[rows].copy() for key, rows in self.rows.items()}
             *_, epochs = self._recorded[index]
             epochs.append(values | {"modes": int(actions[index])})
 
@@ -81,14 +78,17 @@ class Gallery:
             part[gate] = part[gate] > 0.5
         anchors_m = part.pop("anchors")[0].reshape(-1, 3)
         time_s = np.cumsum(np.append(0.0, part.pop("dt")[:-1]))
-        return History(name, anchors_m, scene, self._axes, time_s, **part)
+        return History(name, anchors_m, scene, self.axes, time_s, **part)
 
     def draw(self) -> tuple[Pixels, ...]:
         """Draw n pictures, one per environment; pictures after the first DRAWN are black."""
         from mmwave_env.rendering.picture import draw_picture  # needs pygame
 
-        drawn = [draw_picture(self.history(index), *self._drawn_by) for index in self._recorded]
-        drawn += [np.zeros_like(drawn[0])] * (self._n - len(drawn))
+        drawn = [
+            draw_picture(self.history(index), self.modes, self.size, self.theme)
+            for index in self._recorded
+        ]
+        drawn += [np.zeros_like(drawn[0])] * (self.n - len(drawn))
         return tuple(drawn)
 
     def show(self, picture: Pixels) -> None:
