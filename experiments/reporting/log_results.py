@@ -219,7 +219,7 @@ def check_options(args: LogArgs, files: Inputs) -> None:
             raise ValueError(
                 f"log: found {1 + len(args.more)} logs without --map learn, expected one"
             )
-    require_alone(args, "two_way", "height", "smoothing")
+    require_alone(args, "two_way", "height", "smoothing", "correlation")
     require_one_choice(args)
     require_at_least(0, args, "correlation")
     if not 2 <= args.window <= LONGEST_WINDOW:

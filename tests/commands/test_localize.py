@@ -191,6 +191,7 @@ MISTAKES = {  # name -> options, expected message
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
     "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
     "two ways and a height": (["--two-way", "--height", "1.5"], "height: cannot be combined"),
+    "two ways and correlation": (["--two-way", "--correlation", "1"], "correlation: cannot be"),
     "two ways and one filter": (["--two-way", "--speed", "1"], "two-way: found modes with"),
     "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
 }
