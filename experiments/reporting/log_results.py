@@ -407,7 +407,8 @@ def _may_be_mirrored(track: Track, scene: Scene) -> bool:
     if np.median(deviation) > _UNCERTAIN_HEIGHT_M:
         return True
     near = abs(track.x[:, 2] - heights[0]) < 2.0 * deviation
-    return bool(np.ptp(heights) < _ONE_HEIGHT_M and near.mean() > 0.1)
+    doubtful = near.mean() > 0.1 or scene.streets.height_m > heights[0]
+    return bool(np.ptp(heights) < _ONE_HEIGHT_M and doubtful)
 
 
 def _may_change_sides(track: Track, scene: Scene) -> bool:

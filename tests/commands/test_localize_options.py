@@ -524,11 +524,17 @@ def test_a_wrong_doppler_shift_is_found_in_a_log_without_departures(tmp_path):
     assert "Doppler: found a range that grows by -" in said
 
 
+def room(z):
+    """Return anchors of one height in the corners of a room."""
+    return [[0, 0, z], [60, 0, z], [60, 40, z], [0, 40, z]]
+
+
 @pytest.mark.parametrize(
     ("anchors", "clock", "warned"),
     [
-        ([[0, 0, 3], [60, 0, 3], [60, 40, 3], [0, 40, 3]], "synchronized", True),
-        ([[0, 0, 10], [60, 0, 10], [60, 40, 10], [0, 40, 10]], "synchronized", False),
+        (room(3), "synchronized", True),
+        (room(10), "synchronized", False),
+        (room(-9), "synchronized", True),
         ([[0, 0, 6], [60, 0, 8]], "synchronized", True),
         ([[0, 0, 8], [60, 0, 10], [30, 50, 9]], "synchronized", False),
         ([[0, 0, 8], [60, 0, 10], [30, 50, 9]], "offset", True),
