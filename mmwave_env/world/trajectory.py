@@ -73,8 +73,8 @@ class Trajectory:
         moved = np.linalg.norm(np.diff(p, axis=0, prepend=p[:1]), axis=1)
         self._require(step > 0.0, t, "t", "more than in the row before")
         near = (
-            f"at most {GAP_S:g} s after the row before; if t is in s, add rows in between, or split "
-            "the trajectory there"
+            f"at most {GAP_S:g} s after the row before; if t is in s, add rows in between, or "
+            "split the trajectory there"
         )
         self._require(step <= GAP_S, t, "t", near)
         speed = moved / step
