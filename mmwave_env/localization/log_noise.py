@@ -9,7 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, ELEVATION, Reading, values_of
+from mmwave_env.localization.readings import (
+    AZIMUTH,
+    DEPARTURE,
+    ELEVATION,
+    RANGE,
+    Reading,
+    values_of,
+)
 from mmwave_env.localization.sensitivities import innovations
 from mmwave_env.localization.shared_errors import (
     LEAST_EPOCHS,
@@ -38,7 +45,7 @@ _JUMP_SIGMAS = 8.0
 _ALIKE = 0.25  # tolerated difference between the jumps of two links, as a fraction
 _JUMPS = 0.02  # share of epochs from which on a clock is said to jump
 # The noise is reported if its factor is outside these limits, or its correlation above this one.
-_FACTORS = (0.7, 1.5)
+_FACTORS = (0.6, 1.5)
 _CORRELATED = 0.35
 _MEDIAN = 0.6745  # median of the absolute value of a standard normal number
 _CLIPPED = 2.0  # largest noise that counts: blockages correlate what is larger
@@ -124,29 +131,31 @@ def noise_notes(
     with suppress(ValueError):  # no epoch determines a position, or the track is lost
         part = scanned(reading)
         if part:
-            yield from _notes_on_angles(without_errors(part, shared_errors(part)), correlation_s)
+            yield from _notes(without_errors(part, shared_errors(part)), correlation_s)
         else:
             yield _TOO_SHORT
 
 
-def _notes_on_angles(reading: Reading, correlation_s: float) -> Iterator[str]:
-    """Yield sentences on the angles of a reading without errors."""
+def _notes(reading: Reading, correlation_s: float) -> Iterator[str]:
+    """Yield sentences on the noise of a reading without errors."""
     log = reading.log
     sigma = reading.sigma
     z = _measured(log)
     apart = wrapped(z[:, AZIMUTH] - z[:, DEPARTURE] + np.pi)
     azimuths = apart / np.hypot(sigma[:, AZIMUTH], sigma[:, DEPARTURE])
     (w,) = innovations([reading])
-    elevations = np.where(values_of(log), w, np.nan)[:, ELEVATION]
+    w = np.where(values_of(log), w, np.nan)
     scaled = []
     for name, columns, rows, values in (
         ("azimuths", "aoa_azimuth_sigma and aod_azimuth_sigma", AZIMUTH, azimuths),
-        ("elevations", "aoa_elevation_sigma", ELEVATION, elevations),
+        ("elevations", "aoa_elevation_sigma", ELEVATION, w[:, ELEVATION]),
+        ("ranges", "range_sigma", RANGE, w[:, RANGE]),
     ):
         if np.isfinite(values).sum() < _ENOUGH:
             continue
         factor = float(np.nanmedian(abs(values))) / _MEDIAN
-        scaled.append(np.clip(values / factor, -_CLIPPED, _CLIPPED))
+        if rows != RANGE:
+            scaled.append(np.clip(values / factor, -_CLIPPED, _CLIPPED))
         if not _FACTORS[0] <= factor <= _FACTORS[1]:
             stated = np.isfinite(log.sigma[:, rows]).any()  # then the radio does not count
             other = f"give the log columns {columns}, or use another --radio"

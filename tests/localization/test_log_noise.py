@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.localization.log_noise import clock_jumps, noise_notes, with_range_steps
-from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, RANGE
+from mmwave_env.localization.readings import RANGE
 from mmwave_env.localization.starts import deviations_of
 from mmwave_env.models.radio import RADIOS
 from tests.localization.errors import STREET, only, readings
@@ -72,14 +72,19 @@ def test_a_correct_log_needs_no_note():
     assert notes(LOG) == []
 
 
-def test_noise_that_is_not_as_stated_is_noted():
+@pytest.mark.parametrize(
+    ("name", "rows", "stated", "columns"),
+    [
+        ("azimuths", slice(1, -1, 2), 1 / 3, "aoa_azimuth_sigma and aod_azimuth_sigma"),
+        ("ranges", RANGE, 3.0, "range_sigma"),
+    ],
+)
+def test_noise_that_is_not_as_stated_is_noted(name, rows, stated, columns):
     sigma = SIGMA.copy()
-    sigma[:, AZIMUTH] /= 3.0
-    sigma[:, DEPARTURE] /= 3.0
+    sigma[:, rows] *= stated
     (note,) = notes(replace(LOG, sigma=sigma))
-    assert note.startswith("the noise of azimuths is ") and "times as large as stated" in note
-    assert 2.4 < float(note.split()[5]) < 3.8
-    assert note.endswith("correct aoa_azimuth_sigma and aod_azimuth_sigma in the log")
+    words = f"the noise of {name} is (.*) times as large as stated: correct {columns} in the log"
+    assert 0.8 < stated * float(re.fullmatch(words, note)[1]) < 1.3
 
 
 def test_another_radio_is_advised_only_if_the_log_states_no_deviations():
@@ -92,9 +97,7 @@ def test_correlated_errors_of_angles_are_noted():
     slow = np.repeat(rng.standard_normal((len(LOG) // 10 + 1, 13)), 10, axis=0)[: len(LOG)]
     slow[:, [0, 4, 8, 12]] = 0.0
     log = replace(LOG, measurement=LOG.measurement + 1.5 * SIGMA * slow)
-    assert any(
-        re.match("errors of angles last about .* use --correlation", note) for note in notes(log)
-    )
+    assert "--correlation" in notes(log)[-1]
     known = list(noise_notes(READING._replace(log=log), None, correlation_s=5.0))
     assert not any("--correlation" in note for note in known)
 
