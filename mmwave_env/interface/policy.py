@@ -122,15 +122,15 @@ def policy_from(agent: Any, name: str) -> Policy:
     )
 
 
+@dataclass(eq=False)
 class FixedMode(Policy):
     """A policy that always takes the same action; 0 leaves an IMM as it is."""
 
-    def __init__(self, number: int = 0) -> None:
-        self._number = number
+    number: int = 0
 
     def act(self, observation: Array32) -> Index:
         """Return actions (n,)."""
-        return np.full(len(observation), self._number, np.int64)
+        return np.full(len(observation), self.number, np.int64)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ some of the first epochs. If a majority agrees on a straight motion that another
 the track begins from this motion instead. It also does if the first vote is much less sure.
 """
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -160,6 +161,7 @@ class Vote(NamedTuple):
     pooled: bool  # whether links of earlier epochs were needed
 
 
+@dataclass(eq=False)
 class Ballot:
     """The votes in the first seconds of a track, or after a gap.
 
@@ -167,14 +169,13 @@ class Ballot:
         scene, radio: the scene and the radio of the log.
     """
 
-    def __init__(self, scene: Scene, radio: Radio) -> None:
-        self._scene = scene
-        self._radio = radio
-        self._votes: list[Vote] = []
-        self._jump: int | None = None  # index of the first vote of another motion
-        # the vote that may become this one, if the next one explains the votes less well; its gain
-        self._candidate: int | None = None
-        self._gain = _JUMP_ERROR
+    _scene: Scene
+    _radio: Radio
+    _votes: list[Vote] = field(default_factory=list)
+    _jump: int | None = None  # index of the first vote of another motion
+    # the vote that may become this one, if the next one explains the votes less well; its gain
+    _candidate: int | None = None
+    _gain: float = _JUMP_ERROR
 
     def is_open(self, elapsed_s: float) -> bool:
         """Tell whether an epoch so long after the first one may still vote."""

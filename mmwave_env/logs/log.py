@@ -87,8 +87,6 @@ class Log(Arrays):
         azimuths = self.visible_links & np.isfinite(self.links[..., 1])
         several = azimuths.sum(axis=1, keepdims=True) > 1
         steep = several & (abs(self.links[..., 2]) > STEEP_RAD)
-        if not steep.any():
-            return self
         angles = np.zeros_like(self.measurement, np.bool_)
         angles[:, self.layout.angles[: 3 * self.layout.anchors]] = np.repeat(steep, 3, axis=1)
         measurement = np.where(angles, np.nan, self.measurement)
