@@ -100,3 +100,8 @@ def assert_one_clear_line(done, message):
     assert done.stdout == ""
     (line,) = done.stderr.strip().splitlines()
     assert re.search(message, line), line
+
+
+def assert_refused(message, *words, **options):
+    """Run a command; check that it ends with one line of output that matches a message."""
+    assert_one_clear_line(command(*words, **options), message)

@@ -14,7 +14,7 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.positions import EpochErrors
 from experiments.reporting.comparison_results import over_training_seeds
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS, TERMS
-from tests.cli import assert_one_clear_line, command, succeed, with_json
+from tests.cli import assert_refused, succeed, with_json
 from tests.paths import ROOT, json_in, records, write_json
 from tests.training.actors import actor, card_of, write
 
@@ -69,8 +69,9 @@ def test_a_mistake_ends_with_one_clear_line(run, tmp_path, mistake):
         (run / removed).unlink()
     paths = {"f.png": str(tmp_path / "f.png"), "RUN/": f"{run}/"}
     words = [paths.get(word, word) for word in words]
-    done = command("compare", "--episodes", "1", "--policies", run, *words)
-    assert_one_clear_line(done, f"^mmwave-loc compare: .*{message}")
+    assert_refused(
+        f"^mmwave-loc compare: .*{message}", "compare", "--episodes", "1", "--policies", run, *words
+    )
 
 
 @pytest.mark.slow
@@ -146,8 +147,14 @@ def test_recorded_episodes_have_seeds_but_no_episode_keys(tmp_path):
 
 def test_a_table_that_cannot_be_written_is_refused_before_episodes_are_played(tmp_path):
     (tmp_path / "a.csv").mkdir()
-    done = command("compare", "--episodes", 10**9, "--episodes-csv", tmp_path / "a.csv")
-    assert_one_clear_line(done, "a.csv: found a folder")
+    assert_refused(
+        "a.csv: found a folder",
+        "compare",
+        "--episodes",
+        10**9,
+        "--episodes-csv",
+        tmp_path / "a.csv",
+    )
 
 
 @pytest.mark.slow

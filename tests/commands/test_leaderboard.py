@@ -11,7 +11,7 @@ from experiments.evaluation import protocol
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import entry, judge, sealed, sites, verify
 from experiments.leaderboard import Args, main
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_refused, command, succeed
 from tests.paths import ROOT, json_in, write_json
 
 FOLDER = ROOT / "experiments" / "evaluation" / "entries"
@@ -69,7 +69,7 @@ def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
         ({"sites": good["sites"] | {"o1:handset": {}}}, "not an entry: "),
     ):
         write_json(tmp_path / "bad.json", sealed(good | damage))
-        assert_one_clear_line(command("leaderboard", "--out", tmp_path), f"bad.json: .*{message}")
+        assert_refused(f"bad.json: .*{message}", "leaderboard", "--out", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
 def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_path):
     if not options:
         (tmp_path / "mine.json").write_text("{")
-    assert_one_clear_line(command("leaderboard", *options, "--out", tmp_path), message)
+    assert_refused(message, "leaderboard", *options, "--out", tmp_path)
 
 
 @pytest.mark.parametrize(("episodes", "draws"), [(1999, 200), (2000, 199)])

@@ -13,7 +13,7 @@ from mmwave_env.logs.log import read_log, read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import read_scene
-from tests.cli import assert_one_clear_line, command
+from tests.cli import assert_refused
 from tests.filters.tracks import seeded
 from tests.localization.mistakes import read_columns
 from tests.paths import LOGS
@@ -81,7 +81,7 @@ def test_the_chosen_user_is_named_if_a_file_has_several_users(tmp_path, capsys):
 def test_existing_files_are_replaced_only_with_the_option_overwrite(tmp_path, name):
     (tmp_path / name).write_text("mine")
     message = f"out: found {name} in {tmp_path}.*--overwrite replaces"
-    assert_one_clear_line(command("simulate", "--out", tmp_path), message)
+    assert_refused(message, "simulate", "--out", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "mine"
     simulate(tmp_path, "--overwrite")
@@ -111,6 +111,5 @@ def test_paths_are_refused_with_options_that_do_not_fit(tmp_path):
         ("false_paths", "--false-paths", "2"),
         ("false-paths", "--paths", "--false-paths", "-1"),
     ]:
-        done = command("simulate", *options, "--out", tmp_path)
-        assert_one_clear_line(done, f" {field}: ")
+        assert_refused(f" {field}: ", "simulate", *options, "--out", tmp_path)
     assert not list(tmp_path.iterdir())

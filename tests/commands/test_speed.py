@@ -20,7 +20,7 @@ from experiments.timing.roofline import Operations, count
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
 from mmwave_env.task import task_from
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_refused, succeed
 from tests.filters.tracks import sampled
 from tests.pages import blocks_of, made
 from tests.paths import ROOT, json_in
@@ -54,7 +54,7 @@ def test_a_short_run_prints_and_writes_all_results(tmp_path, monkeypatch):
     ],
 )
 def test_mistakes_end_with_one_clear_line_before_anything_is_timed(options, message):
-    assert_one_clear_line(command("speed", *options), f"^mmwave-loc speed: .*{message}")
+    assert_refused(f"^mmwave-loc speed: .*{message}", "speed", *options)
 
 
 # --- the results

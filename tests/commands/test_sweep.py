@@ -9,7 +9,7 @@ import time
 import pytest
 
 from experiments.sweeping.run import RETRIES, computed, connected
-from tests.cli import assert_one_clear_line, command, started, succeed
+from tests.cli import assert_refused, command, started, succeed
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("ray")
@@ -60,7 +60,7 @@ def ray_processes():
     ],
 )
 def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
-    assert_one_clear_line(command("sweep", *words, cwd=tmp_path), message)
+    assert_refused(message, "sweep", *words, cwd=tmp_path)
 
 
 def squared(values):

@@ -14,7 +14,7 @@ from mmwave_env.filters.bank import bank_from, best_bank, read_bank
 from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
 from mmwave_env.world.keys import draw_key
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_refused, succeed
 from tests.filters.tracks import far_from_the_anchors, process_noise, street_source
 from tests.paths import ROOT, json_in
 
@@ -77,7 +77,7 @@ def test_a_tuned_bank_of_modes_is_written_with_its_results_on_held_out_episodes(
     ],
 )
 def test_a_mistake_ends_with_one_clear_line(options, message):
-    assert_one_clear_line(command("tune", *options), message)
+    assert_refused(message, "tune", *options)
 
 
 def marked(file):

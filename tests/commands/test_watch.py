@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_refused, succeed
 from tests.paths import ROOT
 
 pytest.importorskip("pygame")
@@ -74,7 +74,7 @@ def test_a_mistake_ends_with_one_clear_line(mistake, tmp_path):
     words, message = MISTAKES[mistake]
     if "--policies" not in words:
         words = ("--policies", "fixed-ekf", "fixed-ukf", *words)
-    assert_one_clear_line(command("watch", *words, cwd=tmp_path), f"^mmwave-loc watch: {message}")
+    assert_refused(f"^mmwave-loc watch: {message}", "watch", *words, cwd=tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -82,9 +82,8 @@ def test_a_mistake_ends_with_one_clear_line(mistake, tmp_path):
 def test_the_error_without_a_display_names_the_variables_and_the_option_out(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
         monkeypatch.delenv(name, raising=False)
-    done = command("watch", "--policies", "fixed-ukf")
     message = "watch: window: found no display.*DISPLAY or WAYLAND_DISPLAY.*--out"
-    assert_one_clear_line(done, message)
+    assert_refused(message, "watch", "--policies", "fixed-ukf")
 
 
 @pytest.mark.slow

@@ -14,7 +14,16 @@ import pytest
 import mmwave_env
 from experiments.console.main import COMMANDS, read_arguments
 from experiments.console.options import IntegrityArgs, TaskArgs
-from tests.cli import assert_one_clear_line, command, environment, printed, python, started, succeed
+from tests.cli import (
+    assert_one_clear_line,
+    assert_refused,
+    command,
+    environment,
+    printed,
+    python,
+    started,
+    succeed,
+)
 from tests.paths import ROOT, json_in
 
 # These packages take long to import.
@@ -107,13 +116,13 @@ MISTAKES = {  # name -> words typed, expected message
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_ends_with_one_clear_line(mistake):
     words, message = MISTAKES[mistake]
-    assert_one_clear_line(command(*words), f"^mmwave-loc {words[0]}: .*{message}")
+    assert_refused(f"^mmwave-loc {words[0]}: .*{message}", *words)
     assert not (ROOT / "never").exists()
 
 
 def test_the_error_about_an_unknown_command_lists_all_names_and_suggests_a_similar_one():
-    assert_one_clear_line(command("fly"), "'fly', expected one of demo, .*compare, tables")
-    assert_one_clear_line(command("localise"), "'localise', did you mean localize[?] Expected")
+    assert_refused("'fly', expected one of demo, .*compare, tables", "fly")
+    assert_refused("'localise', did you mean localize[?] Expected", "localise")
 
 
 @pytest.mark.slow
@@ -201,7 +210,7 @@ def test_quiet_shows_nothing_and_still_writes_the_results(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert list(json_in(tmp_path / "all.json")["policies"]) == ["fixed-ukf", "imm"]
     assert "fixed-ukf" in command("compare", *options).stdout  # later commands are not quiet
-    assert_one_clear_line(command("compare", "--quiet", "--radio", "lab"), "'lab'.*handset")
+    assert_refused("'lab'.*handset", "compare", "--quiet", "--radio", "lab")
 
 
 def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
@@ -225,4 +234,4 @@ def test_messages_about_mistakes_contain_no_control_characters(word):
         done = command(*words)
         assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
         assert done.returncode == 2
-    assert_one_clear_line(command("compare", f"--no{word}"), "--no")
+    assert_refused("--no", "compare", f"--no{word}")

@@ -12,7 +12,7 @@ from mmwave_env.datasets.recorded import MeasuredTrack, Recording, TrackSource
 from mmwave_env.datasets.samples import read_track, sample_folder
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.scene import SCENES, read_scene
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_refused, succeed
 from tests.filters.tracks import assert_same_fields, sampled, seeded
 from tests.localization.mistakes import read_columns, write_columns
 from tests.logs.by_hand import shown, write_log
@@ -130,5 +130,6 @@ def test_commands_accept_a_log_folder_as_data(folder):
     text = succeed("compare", "--policies", "fixed-ukf", "imm", "--data", folder, "--episodes", 3)
     assert f"### {folder.name}, handset, 3 episodes" in text
     (folder / "scene.json").unlink()
-    done = command("compare", "--policies", "imm", "--data", folder)
-    assert_one_clear_line(done, f"{folder}: found no scene.json, expected")
+    assert_refused(
+        f"{folder}: found no scene.json, expected", "compare", "--policies", "imm", "--data", folder
+    )

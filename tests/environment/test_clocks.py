@@ -14,7 +14,7 @@ from mmwave_env.models.radio import BIAS_SIGMA_M
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_refused, command, succeed
 from tests.environment.test_measurements import NOISY
 from tests.filters.tracks import assert_same_fields, replay, sampled, seeded, street_source
 from tests.localization.mistakes import linear, renamed, wrong_log
@@ -177,7 +177,7 @@ def test_localize_estimates_the_offset(ride):
 def test_ranges_below_zero_are_accepted_if_the_clock_may_be_behind(tmp_path, ride):
     log = wrong_log(tmp_path, ride, linear(1.0, "toa_s", offset=-1e-6))
     words = log, *words_of(ride)[1:], "--speed", "auto"
-    assert_one_clear_line(command("localize", *words), "'toa_s'.* expected a number from -1 ")
+    assert_refused("'toa_s'.* expected a number from -1 ", "localize", *words)
     assert "behind" in succeed("localize", *words, "--clock", "offset")
 
 

@@ -14,7 +14,7 @@ from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
 from mmwave_env.task import task_from
 from policies import Correction, Corrector, LearnedSwitch
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_refused, succeed
 from tests.paths import write_json
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, actor, card_of, write
@@ -176,8 +176,9 @@ MISTAKES = {  # name of an agent -> expected message
 def test_an_invalid_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
     (folder / "mine.zip").write_bytes(b"")
     monkeypatch.setattr("experiments.evaluation.runner.draw_episodes", None)
-    done = command("compare", "--policies", name, cwd=folder)
-    assert_one_clear_line(done, f"^mmwave-loc compare: .*{MISTAKES[name]}")
+    assert_refused(
+        f"^mmwave-loc compare: .*{MISTAKES[name]}", "compare", "--policies", name, cwd=folder
+    )
 
 
 @pytest.mark.usefixtures("folder")

@@ -11,7 +11,7 @@ from experiments.evaluation.intervals import Interval, rounded
 from experiments.reporting.webpage import page as webpage
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import scored
-from tests.cli import assert_one_clear_line, command, succeed, with_json
+from tests.cli import assert_refused, succeed, with_json
 from tests.paths import ROOT, write_json
 from tests.reporting import results
 from tests.reporting.results import HOSTILE, Read
@@ -197,10 +197,13 @@ MISTAKES = {  # name -> content of a results file, expected message
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_files_that_are_not_results_are_refused_in_one_clear_line(tmp_path, mistake):
     content, message = MISTAKES[mistake]
-    done = command(
-        "report", write_json(tmp_path / "r.json", content), "--out", tmp_path / "page.html"
+    assert_refused(
+        f"r.json: .*{message}",
+        "report",
+        write_json(tmp_path / "r.json", content),
+        "--out",
+        tmp_path / "page.html",
     )
-    assert_one_clear_line(done, f"r.json: .*{message}")
     assert not (tmp_path / "page.html").exists()
 
 
@@ -213,4 +216,4 @@ def test_wrong_folders_and_options_are_refused_in_one_clear_line(tmp_path):
         "episodes: found -1": [file, "--episodes", -1],
     }
     for message, words in mistakes.items():
-        assert_one_clear_line(command("report", *words), message)
+        assert_refused(message, "report", *words)
