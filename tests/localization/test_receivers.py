@@ -133,10 +133,9 @@ def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, 
     assert np.mean(nees) == pytest.approx(axes, rel=0.15)
 
 
-@pytest.mark.parametrize("anchors", [2, 3])
-def test_a_user_who_stands_below_an_anchor_and_walks_away_is_localized_by_all(tmp_path, anchors):
+def test_a_user_who_stands_below_an_anchor_and_walks_away_is_localized_by_all(tmp_path):
     corners = np.array([[0.0, 0.0, 3.0], [6.0, 0.0, 3.0], [3.0, 5.0, 3.0]])
-    scene = scene_of_anchors("room", corners[:anchors], 28e9, 100e6)
+    scene = scene_of_anchors("room", corners, 28e9, 100e6)
     nees = []
     for seed in range(WALKS):
         rng = np.random.default_rng(seed)
@@ -153,7 +152,7 @@ def test_a_user_who_stands_below_an_anchor_and_walks_away_is_localized_by_all(tm
         print(len(track), nees)
     assert np.median(nees) < 4.0
     tracker = Tracker(scene, GUIDED, RADIO)
-    rows = pd.read_csv(tmp_path / "log.csv").to_dict("records")
-    live = [tracker.update(rows[i : i + anchors]) for i in range(0, len(rows), anchors)]
+    epochs = pd.read_csv(tmp_path / "log.csv").groupby("time_s")
+    live = [tracker.update(rows.to_dict("records")) for _, rows in epochs]
     track = localize(log, scene, RADIO, GUIDED, window=None)
-    np.testing.assert_array_equal([p.position_m for p in live if p], track.x[:, :3])
+    np.testing.assert_array_equal([p.position_m for p in live], track.x[:, :3])
