@@ -173,7 +173,7 @@ def _hypothesis(finding: Finding, scene: Scene) -> Json:
     }
 
 
-_ONE_HEIGHT_M = 0.5  # if heights differ by less, ranges hardly tell what is above the anchors
+_ONE_HEIGHT_M = 1.0  # if heights differ by less, ranges hardly tell what is above the anchors
 _UNCERTAIN_HEIGHT_M = 2.0  # with this deviation, heights of other anchors do not tell it, either
 LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
 
@@ -406,9 +406,10 @@ def _may_be_mirrored(track: Track, scene: Scene) -> bool:
     deviation = np.sqrt(track.P[:, 5])
     if np.median(deviation) > _UNCERTAIN_HEIGHT_M:
         return True
-    near = abs(track.x[:, 2] - heights[0]) < 2.0 * deviation
-    doubtful = near.mean() > 0.1 or scene.streets.height_m > heights[0]
-    return bool(np.ptp(heights) < _ONE_HEIGHT_M and doubtful)
+    spread = np.ptp(heights)
+    near = abs(track.x[:, 2] - heights.mean()) < 2.0 * deviation + spread
+    doubtful = near.mean() > 0.15 or scene.streets.height_m > heights[0]
+    return bool(spread < _ONE_HEIGHT_M and doubtful)
 
 
 def _may_change_sides(track: Track, scene: Scene) -> bool:
