@@ -435,6 +435,10 @@ class LogArgs(IntegrityArgs, JsonArgs):
     """IMM to use instead of a policy: imm-best, imm or the
     mode file of a bank. An IMM runs all its modes, and
     weights each by how well it explains the log"""
+    climb: float | None = None
+    """with --imm, vertical velocity noise of all modes,
+    (m/s) / sqrt(s): 0.1 for vehicles on hills, 0.3 for
+    stairs and drones (shipped banks: 0.03)"""
     radio: str = AUTO
     """radio profile, which sets how modes are tuned and how
     noise depends on the SNR: handset, standard, high or a

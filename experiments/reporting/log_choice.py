@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.console.options import LogArgs, require_alone
+from experiments.console.options import LogArgs, require_alone, require_default
 from experiments.evaluation.contenders import BEST_IMM, contender_from
 from mmwave_env.filters.bank import Bank, bank_from, best_bank, default_modes, modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
@@ -37,6 +37,8 @@ def require_one_choice(args: LogArgs) -> None:
     """Refuse options of a policy, an IMM and Algorithm 1 that contradict each other."""
     require_alone(args, "imm", "speed", "modes", "policy", "follow")
     require_alone(args, "policy", "speed", "modes", "follow", "robust")
+    if not args.imm:
+        require_default(args, "--imm", "climb")
     by_speed = args.speed not in (None, "auto")
     if args.outside == "abort" and not by_speed:
         raise ValueError("outside: abort needs a number for --speed (in m/s)")
@@ -76,9 +78,14 @@ def choice_of(args: LogArgs, radio: str, elevations: bool) -> tuple[Switching, s
     """
     if args.imm is not None:
         bank = _bank(args.imm, radio)
+        modes = bank.modes
         if args.robust:
-            bank = replace(bank, modes=tuple(map(robust, bank.modes)))
-        return Switching(bank), f"of {args.imm}, weighted by their probability"
+            modes = tuple(map(robust, modes))
+        if args.climb is not None:
+            modes = tuple(replace(mode, sigma_vz=args.climb) for mode in modes)
+        return Switching(
+            replace(bank, modes=modes)
+        ), f"of {args.imm}, weighted by their probability"
     if not is_algorithm_1(args):
         if args.policy is None and not elevations:
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"

@@ -18,7 +18,7 @@ from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
-from tests.cli import assert_one_clear_line, command, started, succeed, with_json
+from tests.cli import assert_refused, command, started, succeed, with_json
 from tests.commands.localizing import RIDE, STREET, WALK, figures, lines_of, options, refused
 from tests.console.test_signals import heed
 from tests.filters.tracks import sampled
@@ -193,8 +193,7 @@ def test_location_data_of_3gpp_has_the_ellipse_in_which_the_user_is(tmp_path):
 )
 def test_options_of_live_positions_are_refused_where_they_would_be_ignored(words, message):
     header, row, *_ = lines_of()
-    done = command(*words, stdin=f"{header},ue\n{row},a\n{row},b\n".encode())
-    assert_one_clear_line(done, message)
+    assert_refused(message, *words, stdin=f"{header},ue\n{row},a\n{row},b\n".encode())
 
 
 def test_damaged_and_late_rows_are_reported_and_left_out():
@@ -546,18 +545,31 @@ def test_anchors_that_may_mirror_a_track_cause_a_warning(tmp_path, anchors, cloc
     assert command(*words, "--height", 1.5).stderr == ""
 
 
-def walked(folder, anchors, y):
-    """Simulate the ranges of a user who walks along x at a y; return a command that localizes."""
+def walked(folder, anchors, y, hill_m=0.0):
+    """Simulate ranges of a user who walks along x, over hills; return a command that localizes."""
     base, *others = anchors
     scene = {"base_station_m": base, "virtual_anchors_m": others, "carrier_hz": 28e9, "walls": []}
     scene["side"] = [30, 20]
     place = folder / "place.json"
     place.write_text(json.dumps({"name": "place"} | scene))
     way = folder / "way.csv"
-    way.write_text("t,x,y,z\n" + "".join(f"{t},{5 + t / 4},{y},1.5\n" for t in range(60)))
+    way.write_text(
+        "t,x,y,z\n"
+        + "".join(f"{t},{5 + t / 4},{y},{1.5 + hill_m * np.sin(t / 9) ** 2}\n" for t in range(60))
+    )
     options_of = ("--scene", place, "--scenario", way, "--measurements", "range")
     command("simulate", *options_of, "--out", folder)
     return "localize", *options(folder / "log.csv", folder=folder)
+
+
+def test_a_user_on_hills_is_followed_if_the_option_climb_says_so(tmp_path):
+    words = walked(tmp_path, [*room(12), [30, 20, 4]], 10, 6.0)
+    nees = []
+    for more in ((), ("--climb", 0.3)):
+        said = ("--truth", tmp_path / "truth.tum", "--imm", "imm-best", *more)
+        _, results = with_json(*words, *said)
+        nees.append(results["truth"]["tracks"]["smoothed"]["nees"])
+    assert nees[1] < 4.0 < nees[0]
 
 
 @pytest.mark.parametrize("odometry", [{}, {"speed_mps": 0.25, "heading_rad": 0.0}])
