@@ -83,9 +83,8 @@ def choice_of(args: LogArgs, radio: str, elevations: bool) -> tuple[Switching, s
             modes = tuple(map(robust, modes))
         if args.climb is not None:
             modes = tuple(replace(mode, sigma_vz=args.climb) for mode in modes)
-        return Switching(
-            replace(bank, modes=modes)
-        ), f"of {args.imm}, weighted by their probability"
+        why = f"of {args.imm}, weighted by their probability"
+        return Switching(replace(bank, modes=modes)), why
     if not is_algorithm_1(args):
         if args.policy is None and not elevations:
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"

@@ -129,8 +129,7 @@ class LiveColumns:
                     placed[place] = wrapped(number) if turned else number
                     if first == doppler:
                         doppler_anchor = anchor
-        elevations = placed[2:doppler:4]
-        if any(abs(elevation) > STEEP_RAD for elevation in elevations):
+        if any(abs(elevation) > STEEP_RAD for elevation in placed[2:doppler:4]):
             return None
         return placed, doppler_anchor
 

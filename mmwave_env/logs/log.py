@@ -28,9 +28,9 @@ from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_a
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask
 
-# Users within 10 degrees of the vertical below or above an anchor are so near to its foot that a
+# Users within 15 degrees of the vertical below or above an anchor are so near to its foot that a
 # filter's linearization of the azimuth fails: tracks of users who stood there and left were lost.
-STEEP_RAD = math.radians(80.0)
+STEEP_RAD = math.radians(75.0)
 
 
 @dataclass(frozen=True, eq=False)

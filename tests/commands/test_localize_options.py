@@ -566,8 +566,9 @@ def test_a_user_on_hills_is_followed_if_the_option_climb_says_so(tmp_path):
     words = walked(tmp_path, [*room(12), [30, 20, 4]], 10, 6.0)
     nees = []
     for more in ((), ("--climb", 0.3)):
-        said = ("--truth", tmp_path / "truth.tum", "--imm", "imm-best", *more)
-        _, results = with_json(*words, *said)
+        _, results = with_json(
+            *words, "--truth", tmp_path / "truth.tum", "--imm", "imm-best", *more
+        )
         nees.append(results["truth"]["tracks"]["smoothed"]["nees"])
     assert nees[1] < 4.0 < nees[0]
 

@@ -89,8 +89,8 @@ def test_sentences_give_sizes_deviations_and_units():
     assert str(place).endswith("by (1.00, -2.12) ± (1.00, 2.12) m")
     angle = SharedError(EVERY["azimuths are turned"], theta[:1], theta[:1])
     assert str(angle) == "azimuths are turned by 1.00 ± 1.00 degrees"
-    short = SharedError(EVERY["ranges are too long"], theta[1:], abs(theta[1:]))
-    assert str(short) == "ranges are too short by 2.12 ± 2.12 m"
+    late = EVERY["ranges are too long"]
+    assert str(SharedError(late, theta[1:], -theta[1:])) == "ranges are too short by 2.12 ± 2.12 m"
 
 
 def test_an_undone_mistake_scales_values_and_the_likelihood_of_the_file():
