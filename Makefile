@@ -49,7 +49,7 @@ format: .venv-tools/.ready ## ruff: sort imports and format
 	.venv-tools/bin/ruff format .
 
 types: .venv/.dev ## mypy, strict
-	$(BIN)/mypy mmwave_env policies experiments
+	$(BIN)/mypy mmwave_env policies experiments docs/site
 
 supply-chain: .venv/.dev ## unused and undeclared dependencies, and the workflows
 	$(BIN)/deptry .

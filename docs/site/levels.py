@@ -15,7 +15,7 @@ from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD, KINDS, RECORDED, Site, sites
 from experiments.evaluation.runner import EpochResults, score_contenders
 from mmwave_env.localization.levels import PARTS, Levels
-from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
+from mmwave_env.localization.position_errors import error_sizes, gaussian_levels
 from mmwave_env.metrics import scored
 from mmwave_env.numerics.numbers import Array
 
@@ -39,7 +39,7 @@ def figures_at(site: Site) -> Array:
 
     def add(contender: Contender, time_s: Array, results: EpochResults) -> None:
         counts = scored(len(time_s))
-        error = np.stack([f(results["error"]) for f in (horizontal, vertical)], axis=-1)
+        error = error_sizes(results["error"])
         for rows, risk in zip(figures, RISKS, strict=True):
             gaussian = gaussian_levels(results["P"], risk)
             factors = Levels(risk).factors(
