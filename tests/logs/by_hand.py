@@ -57,6 +57,11 @@ def read(path, scene=SCENE, **options):
     return read_log(path, scene, **options)
 
 
+def read_back(folder, content, name="log.csv", **options):
+    """Write a log as :func:`store` does, and read it."""
+    return read(store(folder, content, name), **options)
+
+
 def read_live(content):
     """Read the text of a log line by line, as live rows; return the log and its warnings."""
     header, *lines = map(str.rstrip, content.removeprefix("\ufeff").rstrip().split("\n"))

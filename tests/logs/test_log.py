@@ -27,6 +27,7 @@ from tests.logs.by_hand import (
     episode,
     in_body,
     read,
+    read_back,
     read_live,
     require_pyarrow,
     rows,
@@ -39,7 +40,7 @@ from tests.paths import ROOT
 
 
 def test_every_number_is_read_into_its_array(tmp_path):
-    block = read(store(tmp_path, rows()))
+    block = read_back(tmp_path, rows())
     assert block.layout == Layout(L, partial=True) and len(block) == 4
     assert_array_equal(block.time_s, [0.0, 1.0, 2.0, 3.0])
     assert block.visible.all() and not block.incomplete.any()
@@ -86,7 +87,7 @@ def test_angles_of_departure_in_the_frame_of_the_body_are_turned_by_the_heading(
     lines = rows(2)
     for line, heading in zip(lines, ("", "170", "", "-40", "", "-40"), strict=True):
         line.update(speed, aod_azimuth_rad="20.0", heading_deg=heading)
-    block = read(store(tmp_path, in_body(text(lines))), odometry=odometry)
+    block = read_back(tmp_path, in_body(text(lines)), odometry=odometry)
     departures = np.degrees(block.measurement[:, 3:12:4])
     assert_allclose(departures, [[-170.0] * 3, [-20.0] * 3])
     assert block.visible.all()
@@ -95,7 +96,7 @@ def test_angles_of_departure_in_the_frame_of_the_body_are_turned_by_the_heading(
 
 def test_a_link_is_incomplete_if_its_departure_needs_a_missing_heading(tmp_path):
     lines = [line | {"heading_deg": "90" if line["time_s"] == "1" else ""} for line in rows(2)]
-    block = read(store(tmp_path, in_body(text(lines)))).whole()
+    block = read_back(tmp_path, in_body(text(lines))).whole()
     assert_array_equal(block.visible[:, :L], [[False] * 3, [True] * 3])
     assert_array_equal(block.incomplete[:, :L], [[True] * 3, [False] * 3])
 
@@ -128,14 +129,14 @@ def test_units_are_converted(tmp_path, name, value, row, expected):
     (names,) = [row.columns for row in QUANTITIES.values() if name in row.columns]
     cells = dict.fromkeys(COLUMNS, "0.5") | {"time_s": "1", "anchor": "1", "toa_s": "1e-7"}
     cells = {column: cell for column, cell in cells.items() if column not in names}
-    block = read(store(tmp_path, [cells | {name: str(value)}]))
+    block = read_back(tmp_path, [cells | {name: str(value)}])
     number = block.time_s[0] if row is None else block.measurement[0, row]
     assert number == pytest.approx(expected, rel=1e-14)
 
 
 def test_times_in_milliseconds_equal_times_in_seconds(tmp_path):
     lines = [line | {"time_s": f"{100 * t}"} for t, line in enumerate(rows(50)[::L])]
-    times = read(store(tmp_path, text(lines).replace("time_s", "time_ms"))).time_s
+    times = read_back(tmp_path, text(lines).replace("time_s", "time_ms")).time_s
     assert times.tolist() == [float(f"{t // 10}.{t % 10}") for t in range(50)]
 
 
@@ -145,7 +146,7 @@ def test_odometry_and_doppler_spread_may_be_in_any_or_all_rows_of_an_epoch(tmp_p
     lines = [line | dict.fromkeys(values, "") for line in rows(2)]
     for line in lines[place]:
         line.update(values)
-    block = read(store(tmp_path, lines))
+    block = read_back(tmp_path, lines)
     assert block.layout == Layout(L, odometry=True, partial=True)
     assert_allclose(block.measurement[0, -2:], [2.0, -np.pi / 2])
     assert block.visible[:, -1].tolist() == [True, False]
@@ -154,15 +155,15 @@ def test_odometry_and_doppler_spread_may_be_in_any_or_all_rows_of_an_epoch(tmp_p
 
 def test_columns_of_odometry_can_be_ignored(tmp_path):
     lines = [line | {"speed_mps": "fast"} for line in rows(2)]
-    block = read(store(tmp_path, lines), odometry=False)
+    block = read_back(tmp_path, lines, odometry=False)
     assert block.layout == Layout(L, partial=True) and block.visible.all()
 
 
 def test_anchors_may_be_missing_and_in_any_order(tmp_path):
     lines = rows(3)
     shuffled = [lines[2], lines[0], lines[1], lines[4], lines[8], lines[6]]
-    block = read(store(tmp_path, shuffled))
-    whole = read(store(tmp_path, lines, "w.csv"))
+    block = read_back(tmp_path, shuffled)
+    whole = read_back(tmp_path, lines, "w.csv")
     links = [[True] * 3, [False, True, False], [True, False, True]]
     assert_array_equal(block.visible[:, :L], links)
     assert_array_equal(block.visible[:, L], [True, False, True])
@@ -180,7 +181,7 @@ LINK_COLUMNS = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_ra
 def test_a_link_that_lacks_a_value_is_incomplete(tmp_path, column, empty):
     lines = rows(2)
     lines[0][column] = lines[4][column] = empty
-    block = read(store(tmp_path, lines)).whole()
+    block = read_back(tmp_path, lines).whole()
     wrong = np.zeros((2, 4), bool)
     wrong[0, 0] = wrong[1, 1] = True
     wrong[0, 3] = column == "snr_db"  # the Doppler shift's noise follows from the SNR
@@ -191,7 +192,7 @@ def test_a_link_that_lacks_a_value_is_incomplete(tmp_path, column, empty):
 def test_a_doppler_shift_needs_only_the_snr_of_its_link(tmp_path):
     lines = rows(2)
     lines[0].update(dict.fromkeys(LINK_COLUMNS, ""))
-    block = read(store(tmp_path, lines))
+    block = read_back(tmp_path, lines)
     assert block.visible[0].tolist() == [False, True, True, True]
     assert not block.incomplete.any()  # a link without any value is missing, not incomplete
 
@@ -231,7 +232,7 @@ VARIANTS = {
 def test_dates_become_seconds_since_1970_in_files_and_live(tmp_path, moment, unit):
     lines = [line | {"time_s": f'"{moment.format(line["time_s"])}"'} for line in rows()]
     content = text(lines).replace("time_s", f"time_{unit}")
-    log = read(store(tmp_path, content))
+    log = read_back(tmp_path, content)
     assert_array_equal(log.time_s, 1_795_166_100.25 + np.arange(4))
     assert_same(read_live(content)[0], log, "line")
 
@@ -240,8 +241,8 @@ def test_equal_rows_are_left_out_and_counted_in_files_and_live(tmp_path):
     lines = rows()
     twice = [lines[0], lines[1], lines[0], *lines[2:6], lines[5], lines[4], *lines[6:]]
     with pytest.warns(UserWarning, match=r"left out: repeated rows: 3 \(line 4\)"):
-        log = read(store(tmp_path, twice))
-    assert_same(log, read(store(tmp_path, lines, "once.csv")), "line")
+        log = read_back(tmp_path, twice)
+    assert_same(log, read_back(tmp_path, lines, "once.csv"), "line")
     live, warnings = read_live(text(twice))
     assert_same(live, log, "line")
     assert warnings == ["left out: repeated rows (line 4)"]
@@ -252,8 +253,8 @@ def test_separators_line_ends_and_the_order_of_columns_do_not_change_what_is_rea
     plain = text(rows())
     other = VARIANTS[name](text(rows()))
     assert other != plain
-    same = read(store(tmp_path, other, "other.csv"))
-    expected = read(store(tmp_path, plain))
+    same = read_back(tmp_path, other, "other.csv")
+    expected = read_back(tmp_path, plain)
     assert_same(same, expected, "line")
     assert_same(read_live(other)[0], expected, "line")
 
@@ -330,7 +331,7 @@ def test_a_departure_relative_to_the_body_has_no_bearing(tmp_path):
 
 def test_the_uncertainty_of_offsets_adds_to_own_and_modelled_noise(tmp_path):
     lines = [line | {"range_sigma_m": "0.4"} for line in rows()]
-    log = read(store(tmp_path, lines), CORRECTED)
+    log = read_back(tmp_path, lines, scene=CORRECTED)
     own = np.hypot(0.4, [0.3, 0.0, 0.4])
     assert_allclose(log.sigma[:, 0:12:4], np.tile(own, (len(log), 1)))
     snr = np.full((1, L), 20.0)
@@ -347,7 +348,7 @@ def test_live_rows_are_corrected_like_those_of_a_file(tmp_path):
     epochs = [epoch for line in lines for epoch in live.add(line)]
     assert all(epoch.columns.placed(epoch.rows) is None for epoch in epochs)
     log = log_from([*epochs, *live.end_epoch()])
-    assert_same(log, read(store(tmp_path, content), CORRECTED), "line")
+    assert_same(log, read_back(tmp_path, content, scene=CORRECTED), "line")
 
 
 # --- formulas of docs/data.md, which convert angles of other conventions to ours

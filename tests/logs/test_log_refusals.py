@@ -21,6 +21,7 @@ from tests.logs.by_hand import (
     episode,
     in_body,
     read,
+    read_back,
     read_live,
     refuses_log,
     require_pyarrow,
@@ -89,7 +90,7 @@ def test_epochs_before_a_damaged_row_are_read_before_an_error_names_the_row(tmp_
     if log is None:
         assert not epochs
     else:
-        whole = read(store(tmp_path, rows(), "whole.csv"))
+        whole = read_back(tmp_path, rows(), "whole.csv")
         assert_same(replace(log, line=whole.line[:epochs]), whole.part(slice(epochs)))
 
 
@@ -113,9 +114,9 @@ def test_values_that_mean_lost_or_are_impossible_are_left_out_of_files_and_live(
     lines[6] |= cells
     empty = deepcopy(lines)
     empty[6] |= dict.fromkeys(columns.split(), "")
-    expected = read(store(tmp_path, empty, "empty.csv"))
+    expected = read_back(tmp_path, empty, "empty.csv")
     with pytest.warns(UserWarning, match=f"left out: 1 of '{columns.split()[0]}'.*line 8"):
-        log = read(store(tmp_path, lines))
+        log = read_back(tmp_path, lines)
     assert_same(log, expected)
     live, warnings = read_live(text(lines))
     assert_same(live, log, "line")
@@ -126,7 +127,7 @@ def test_ranges_slightly_below_0_and_unwrapped_azimuths_are_used(tmp_path):
     lines = rows()
     lines[7] |= {"toa_s": "-1e-9", "aod_azimuth_rad": "-810"}
     content = text(lines).replace("aod_azimuth_rad", "aod_azimuth_deg")
-    z = read(store(tmp_path, content)).measurement[2]
+    z = read_back(tmp_path, content).measurement[2]
     assert_allclose(z[[4, 7]], [-1e-9 * SPEED_OF_LIGHT, -np.pi / 2])
 
 
@@ -134,14 +135,14 @@ def test_ranges_slightly_below_0_and_unwrapped_azimuths_are_used(tmp_path):
 def test_elevations_of_straight_up_and_down_are_accepted(tmp_path, angle):
     lines = rows()
     lines[7]["aoa_elevation_rad"] = repr(angle)
-    assert read(store(tmp_path, lines)).measurement[2, 6] == angle
+    assert read_back(tmp_path, lines).measurement[2, 6] == angle
 
 
 def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     lines = rows()
     lines[7].update(aoa_azimuth_rad="57.3", aoa_elevation_rad="95.7")
     lines[7].update(aod_azimuth_rad="-360.5", toa_s="1.0")
-    block = read(store(tmp_path, lines), limits=False)
+    block = read_back(tmp_path, lines, limits=False)
     assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
 
 
@@ -222,7 +223,7 @@ def test_a_log_that_needs_more_memory_than_there_is_is_refused_with_its_size(
 @pytest.mark.parametrize("name", ["log.txt", "log", "log.csv.zip", "log.gz"])
 def test_files_with_an_unknown_ending_are_refused(tmp_path, name):
     with refuses_log(name):
-        read(store(tmp_path, text(rows()), name))
+        read_back(tmp_path, text(rows()), name)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -231,7 +232,7 @@ def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_
     with refuses("nowhere", error=FileNotFoundError):
         read(tmp_path / f"nowhere{suffix}")
     with refuses_log("log"):
-        read(store(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}"))
+        read_back(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}")
 
 
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
