@@ -6,6 +6,7 @@ import signal
 import subprocess
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import chi2, norm
 
@@ -435,12 +436,13 @@ def test_a_log_in_which_no_track_begins_is_refused_and_nothing_is_written(tmp_pa
 
 # --- logs that contradict their scene
 
+DOWNLINK = "arrival is measured at the user (downlink)"
+
 
 @pytest.fixture(scope="module")
 def downlink(tmp_path_factory):
     """Return a copy of the ride's log with angles of arrival at the user, as in a downlink."""
-    mistake = MISTAKES["arrival is measured at the user (downlink)"]
-    return wrong_log(tmp_path_factory.mktemp("downlink"), RIDE, mistake)
+    return wrong_log(tmp_path_factory.mktemp("downlink"), RIDE, MISTAKES[DOWNLINK])
 
 
 def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, downlink):
@@ -461,12 +463,11 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     file = tmp_path / "found.json"
     done = command("localize", *ride(downlink, "--diagnose", "--json", file))
     assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
-    name = "arrival is measured at the user (downlink)"
-    assert f"\nThe log is consistent if {name}." in done.stdout
+    assert f"\nThe log is consistent if {DOWNLINK}." in done.stdout
     cure = "exchange the names aoa_azimuth and aod_azimuth, negate aoa_elevation"
     assert f"To correct it, {cure} (docs/data.md)." in done.stdout
     first, *others = json_in(file)["hypotheses"]
-    assert first["hypothesis"] == name and first["contradictions"] == []
+    assert first["hypothesis"] == DOWNLINK and first["contradictions"] == []
     assert all(other["contradictions"] for other in others)
 
 
@@ -515,17 +516,20 @@ def test_a_user_who_stands_still_is_no_mistake_of_the_log(tmp_path, epochs, plac
 
 
 def test_a_wrong_doppler_shift_is_found_in_a_log_without_departures(tmp_path):
-    columns = read_columns(RIDE / "log.csv")
-    columns["doppler_hz"] *= -1.0
+    log = wrong_log(tmp_path, RIDE, MISTAKES["Doppler shift has the other sign"])
+    columns = read_columns(log)
     del columns["aod_azimuth_rad"]
-    write_columns(tmp_path / "log.csv", columns)
-    said = command("localize", *ride(tmp_path / "log.csv", "--speed", 1)).stderr
+    write_columns(log, columns)
+    said = command("localize", *ride(log, "--speed", 1)).stderr
     assert "Doppler: found a range that grows by -" in said
 
 
 def room(z):
     """Return anchors of one height in the corners of a room."""
     return [[0, 0, z], [60, 0, z], [60, 40, z], [0, 40, z]]
+
+
+TRIANGLE = [[0, 0, 8], [60, 0, 10], [30, 50, 9]]  # anchors
 
 
 @pytest.mark.parametrize(
@@ -535,8 +539,8 @@ def room(z):
         (room(10), "synchronized", False),
         (room(-9), "synchronized", True),
         ([[0, 0, 6], [60, 0, 8]], "synchronized", True),
-        ([[0, 0, 8], [60, 0, 10], [30, 50, 9]], "synchronized", False),
-        ([[0, 0, 8], [60, 0, 10], [30, 50, 9]], "offset", True),
+        (TRIANGLE, "synchronized", False),
+        (TRIANGLE, "offset", True),
     ],
 )
 def test_anchors_that_may_mirror_a_track_cause_a_warning(tmp_path, anchors, clock, warned):
@@ -576,9 +580,7 @@ def test_a_user_on_hills_is_followed_if_the_option_climb_says_so(tmp_path):
 @pytest.mark.parametrize("odometry", [{}, {"speed_mps": 0.25, "heading_rad": 0.0}])
 def test_a_track_near_the_line_of_its_anchors_may_change_sides(tmp_path, odometry):
     words = walked(tmp_path, [[0, 0, 6], [60, 0, 8]], 1)
-    columns = read_columns(tmp_path / "log.csv")
-    ones = np.ones(len(columns["time_s"]))
-    write_columns(tmp_path / "log.csv", columns | {k: v * ones for k, v in odometry.items()})
+    wrong_log(tmp_path, tmp_path, lambda columns: dict(pd.DataFrame(columns).assign(**odometry)))
     assert "warning: side: " in command(*words, "--height", 1.5).stderr
     assert "warning: heights: " in command(*words).stderr
 
@@ -586,9 +588,7 @@ def test_a_track_near_the_line_of_its_anchors_may_change_sides(tmp_path, odometr
 def test_a_clock_that_is_ahead_lowers_a_track_without_elevations(tmp_path):
     words = walked(tmp_path, [[0, 0, 8], [60, 0, 8], [30, 50, 8]], 20)
     assert command(*words).stderr == ""
-    columns = read_columns(tmp_path / "log.csv")
-    columns["toa_s"] += 2e-8
-    write_columns(tmp_path / "log.csv", columns)
+    wrong_log(tmp_path, tmp_path, linear(1.0, "toa_s", offset=2e-8))
     assert "warning: height: found -" in command(*words).stderr
     assert "No hypothesis" in command(*words, "--diagnose").stdout
     assert "height" not in command(*words, "--height", -20).stderr
@@ -646,8 +646,7 @@ def test_innovations_are_small_without_a_warning_if_their_errors_last():
 def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_written(tmp_path):
     scene = tmp_path / "corrected.json"
     words = ride(RIDE / "log.csv", "--diagnose", "--clock", "offset", "--write", scene)
-    done = command("localize", *words)
-    assert done.returncode == 0 and "Not written: nothing is wrong." in done.stdout
+    assert "Not written: nothing is wrong." in succeed("localize", *words)
     assert not scene.exists()
 
 
@@ -655,5 +654,5 @@ def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_w
 @pytest.mark.parametrize("receiver", [dict, differences], ids=["times", "differences"])
 def test_a_log_can_be_diagnosed_with_a_free_clock(tmp_path, receiver):
     log = wrong_log(tmp_path, RIDE, receiver)
-    done = command("localize", *ride(log, "--diagnose", "--clock", "free"))
-    assert done.returncode == 0 and "The log is consistent as it is." in done.stdout
+    shown = succeed("localize", *ride(log, "--diagnose", "--clock", "free"))
+    assert "The log is consistent as it is." in shown
