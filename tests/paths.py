@@ -11,6 +11,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LOGS = ROOT / "mmwave_env" / "data" / "logs"
+WALK = LOGS / "canyon28_pedestrian"
+RIDE = LOGS / "canyon28_vehicle"
 RECORDINGS = ROOT / "mmwave_env" / "data" / "deepmimo_canyon28"
 
 

@@ -32,10 +32,9 @@ from mmwave_env.world.mobility import read_mobility
 from policies.policy_file import read_policy, to_bytes
 from tests.damage import changed, damaged
 from tests.datasets.deepmimo.scenarios import shortened
-from tests.paths import LOGS, ROOT, json_in
+from tests.paths import RIDE, ROOT, json_in
 from tests.training.actors import TABLE, actor, card_of
 
-RIDE = LOGS / "canyon28_vehicle"
 SCENE = read_scene(RIDE / "scene.json")
 BANK = json_in(ROOT / "mmwave_env" / "data" / "banks" / "handset.json")
 RUN = ROOT / "docs" / "learning" / "ppo-standard"

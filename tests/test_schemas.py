@@ -14,7 +14,7 @@ from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import read_scene
 from mmwave_env.world.mobility import MOBILITIES, read_mobility
 from tests.damage import changed
-from tests.paths import LOGS, ROOT, json_in, records, write_json
+from tests.paths import RIDE, ROOT, json_in, records, write_json
 from tests.schemas import path_of, schemas
 
 READERS = {"scene": read_scene, "radio": read_radio, "modes": read_bank, "mobility": read_mobility}
@@ -26,7 +26,7 @@ every_file = pytest.mark.parametrize("name", READERS)
 
 
 EXAMPLES = {  # contents of files
-    "scene": json_in(LOGS / "canyon28_vehicle" / "scene.json"),
+    "scene": json_in(RIDE / "scene.json"),
     "radio": {"base": "handset", "aoa_floor_deg": 2.0, "range_floor_m": [0.5, 1.0]},
     "modes": bank_as_written(best_bank("handset")),
     "mobility": {
@@ -87,14 +87,14 @@ def test_a_value_beyond_the_limit_of_its_column_is_refused_by_schema_and_reader(
     limit = SCHEMAS["log"]["properties"][name]["maximum"]
     for factor in (0.99, 1.01):
         line = row | {name: factor * limit}
-        scene = read_scene(LOGS / "canyon28_vehicle" / "scene.json")
+        scene = read_scene(RIDE / "scene.json")
         log = LiveLog(list(line), scene, clock="free" if stem == "rstd" else "synchronized")
         log.add(line)
         assert (not log.left_out) == VALIDATORS["log"].is_valid(line) == (factor < 1.0)
 
 
 def test_rows_of_the_shipped_log_satisfy_the_schema():
-    for row in records(LOGS / "canyon28_vehicle" / "log.csv"):
+    for row in records(RIDE / "log.csv"):
         numbers = {name: float(cell) if cell else None for name, cell in row.items()}
         VALIDATORS["log"].validate(numbers | {"anchor": int(row["anchor"])})
     assert not VALIDATORS["log"].is_valid({"time_s": 0.0, "anchor": 1, "snr_db": 10.0})

@@ -5,10 +5,8 @@ from pathlib import Path
 
 from experiments.console.main import run
 from tests.cli import command
-from tests.paths import LOGS, ROOT, json_in
+from tests.paths import LOGS, RIDE, ROOT, WALK, json_in
 
-WALK = LOGS / "canyon28_pedestrian"
-RIDE = LOGS / "canyon28_vehicle"
 STREET = LOGS / "street_paths"
 EPOCHS = {WALK: 400, RIDE: 120}  # number of epochs in each log
 

@@ -12,7 +12,7 @@ import pytest
 
 from experiments.console.main import main
 from tests.cli import succeed
-from tests.paths import LOGS
+from tests.paths import RIDE
 
 with suppress(ImportError):  # systems without fork lack this module, too
     import resource
@@ -23,8 +23,8 @@ SIGNALS = {signal.SIGINT, signal.SIGTERM}
 HITS = 3
 TRIES = 15
 PRINTED = "printed.txt"  # file with a command's output, outside the folder where it runs
-LOG = str(LOGS / "canyon28_vehicle" / "log.csv")
-SCENE = str(LOGS / "canyon28_vehicle" / "scene.json")
+LOG = str(RIDE / "log.csv")
+SCENE = str(RIDE / "scene.json")
 FEW = ("--episodes", "4", "--episode-steps", "30")
 COMMANDS = {
     "localize": ("localize", LOG, "--scene", SCENE, "--speed", "auto", "--out", "track.tum",

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from mmwave_env.datasets.log_folder import log_text
-from tests.paths import LOGS
+from tests.paths import RIDE, WALK
 
-FOLDERS = [LOGS / "canyon28_vehicle", LOGS / "canyon28_pedestrian"]
+FOLDERS = [RIDE, WALK]
 AZIMUTHS = ("aoa_azimuth_rad", "aod_azimuth_rad")
 ANGLES = (*AZIMUTHS, "aoa_elevation_rad")
 HZ_PER_MPS = 28e9 / 299_792_458.0

@@ -30,7 +30,7 @@ from tests.localization.mistakes import (
     wrong_log,
 )
 from tests.logs.by_hand import assert_same
-from tests.paths import representative
+from tests.paths import RIDE, WALK, representative
 from tests.refusals import refuses
 
 RADIO = RADIOS["standard"]
@@ -77,7 +77,7 @@ MIRRORED = [  # mistakes with which tracks are mirrored, as anchors on a line al
 ]
 
 
-@pytest.mark.parametrize("folder", representative(FOLDERS, FOLDERS[0]), ids=IDS)
+@pytest.mark.parametrize("folder", representative(FOLDERS, RIDE), ids=IDS)
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_refused_or_causes_a_warning_and_is_diagnosed(tmp_path, folder, name):
     scene = scene_in(folder)
@@ -127,15 +127,15 @@ def test_a_mistake_in_a_log_that_lacks_columns_is_diagnosed(tmp_path, name):
         columns = MISTAKES.get(name, dict)(columns)
         return {k: v for k, v in columns.items() if k not in LACKING[name]}
 
-    path = wrong_log(tmp_path, FOLDERS[0], change)
-    best, *others = findings(path, scene_in(FOLDERS[0]), partial=True)
+    path = wrong_log(tmp_path, RIDE, change)
+    best, *others = findings(path, scene_in(RIDE), partial=True)
     assert best.hypothesis == name and not best.contradictions
     if "doppler_hz" in LACKING[name]:
         assert not any("Doppler" in f.hypothesis for f in others)
 
 
 def test_a_rotated_frame_is_diagnosed_with_its_angle_and_the_corrected_scene(tmp_path):
-    folder = FOLDERS[0]
+    folder = RIDE
     scene = scene_in(folder)
     path = wrong_log(tmp_path, folder, linear(1.0, *AZIMUTHS, offset=0.7))
     assert doubts(read_log(path, scene).whole(), scene)
@@ -151,10 +151,10 @@ def test_a_rotated_frame_is_diagnosed_with_its_angle_and_the_corrected_scene(tmp
     ("azimuths are counterclockwise from east", 1.0, 30.0),
 ])  # fmt: skip
 def test_compass_bearings_are_diagnosed_if_the_x_axis_is_known(tmp_path, name, sign, degrees):
-    scene = scene_in(FOLDERS[0])
+    scene = scene_in(RIDE)
     scene = replace(scene, origin=Origin(48.0, 11.0, bearing_deg=60.0))
     mistake = linear(sign, *AZIMUTHS, offset=np.radians(degrees))
-    best = findings(wrong_log(tmp_path, FOLDERS[0], mistake), scene)[0]
+    best = findings(wrong_log(tmp_path, RIDE, mistake), scene)[0]
     assert best.hypothesis == name and not best.contradictions
 
 
@@ -163,8 +163,8 @@ def test_a_log_with_an_hour_without_epochs_is_diagnosed_by_its_longer_part(tmp_p
         wrong = MISTAKES["angles are in degrees"](columns)
         return wrong | {"time_s": columns["time_s"] + 3600.0 * (columns["time_s"] > 9.0)}
 
-    path = wrong_log(tmp_path, FOLDERS[0], paused)
-    best = findings(path, scene_in(FOLDERS[0]))[0]
+    path = wrong_log(tmp_path, RIDE, paused)
+    best = findings(path, scene_in(RIDE))[0]
     assert best.hypothesis == "angles are in degrees" and not best.contradictions
 
 
@@ -173,8 +173,8 @@ def test_a_correct_log_with_some_wild_ranges_is_diagnosed_as_consistent(tmp_path
         late = np.arange(len(columns["toa_s"])) % 30 == 10
         return columns | {"toa_s": columns["toa_s"] + 1e-6 * late}
 
-    path = wrong_log(tmp_path, FOLDERS[1], wild)
-    best = findings(path, scene_in(FOLDERS[1]))[0]
+    path = wrong_log(tmp_path, WALK, wild)
+    best = findings(path, scene_in(WALK))[0]
     assert best.hypothesis == AS_IT_IS and not best.contradictions
 
 
@@ -190,13 +190,13 @@ def test_ten_epochs_that_fit_no_hypothesis_are_not_called_consistent(tmp_path):
         wrong = linear(np.pi / 180.0, "aoa_azimuth_rad")(columns)
         return {name: values[first] for name, values in wrong.items()}
 
-    path = wrong_log(tmp_path, FOLDERS[1], short)
-    assert findings(path, scene_in(FOLDERS[1]))[0].contradictions
+    path = wrong_log(tmp_path, WALK, short)
+    assert findings(path, scene_in(WALK))[0].contradictions
 
 
 def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
-    scene = scene_in(FOLDERS[0])
-    block = read_log(FOLDERS[0] / "log.csv", scene, limits=False).whole()
+    scene = scene_in(RIDE)
+    block = read_log(RIDE / "log.csv", scene, limits=False).whole()
     before = deepcopy(block)
     best = diagnose(Reading(block, scene, RADIOS["handset"], MODES[1]))[0]
     assert best.hypothesis == "radio is standard" and not best.contradictions

@@ -35,6 +35,7 @@ from tests.localization.errors import (
     turned,
 )
 from tests.localization.mistakes import FOLDERS
+from tests.paths import RIDE, WALK
 
 AWAY = "is away from its place"
 DRIFT = "the user's clock drifts: ranges grow too long"
@@ -90,7 +91,7 @@ def test_a_shipped_log_shows_no_error(folder):
 
 
 def test_wild_ranges_hide_no_error():
-    reading = turned(4.0)(sample(FOLDERS[0]))
+    reading = turned(4.0)(sample(RIDE))
     reading.log.measurement[[20, 50], 0] += [300.0, 3e5]
     (error,) = errors_of(reading)
     assert error.suspect.name == "azimuths are turned" and error.theta == pytest.approx(
@@ -99,19 +100,19 @@ def test_wild_ranges_hide_no_error():
 
 
 def test_several_errors_are_found_together():
-    reading = turned(4.0)(late(15.0)(sample(FOLDERS[0])))
+    reading = turned(4.0)(late(15.0)(sample(RIDE)))
     assert sizes_of(reading) == pytest.approx(
         {"ranges are too long": 15.0, "azimuths are turned": 4.0}, abs=0.1
     )
 
 
 def test_a_clock_that_drifts_and_is_ahead_is_named_as_both():
-    reading = drifting(15.0)(late(15.0)(sample(FOLDERS[1])))
+    reading = drifting(15.0)(late(15.0)(sample(WALK)))
     assert sizes_of(reading) == pytest.approx({"ranges are too long": 15.0, DRIFT: 15.0}, abs=0.3)
 
 
 def test_what_to_write_names_the_values_that_the_scene_needs():
-    reading = turned(4.0)(sample(FOLDERS[0]))
+    reading = turned(4.0)(sample(RIDE))
     (error,) = errors_of(reading)
     (mistake,) = error.undone(reading).undone
     bearing = round(float(error.theta[0]), 3)
