@@ -57,13 +57,18 @@ def findings(path, scene, partial=False):
     return diagnose(Reading(log if partial else log.whole(), scene, RADIO, MODES[1]))
 
 
+def assert_diagnosed(best, hypothesis):
+    """Check that the best finding is this hypothesis, and that it leaves no contradictions."""
+    assert best.hypothesis == hypothesis and not best.contradictions
+
+
 @both
 def test_a_correct_log_is_diagnosed_as_consistent(folder):
     scene = scene_in(folder)
     log = read_log(folder / "log.csv", scene).whole()
     assert not doubts(log, scene)
     best, *others = findings(folder / "log.csv", scene)
-    assert best.hypothesis == AS_IT_IS and not best.contradictions
+    assert_diagnosed(best, AS_IT_IS)
     assert {f.hypothesis for f in others} == {
         m.words for m in mistakes(Reading(log, scene, RADIO, MODES[1]))
     }
@@ -86,7 +91,8 @@ def test_a_mistake_is_refused_or_causes_a_warning_and_is_diagnosed(tmp_path, fol
         log = read_log(path, scene).whole()
         assert log.damage or doubts(log, scene)
     best, second, *_ = findings(path, scene)
-    assert best.hypothesis == name and not best.contradictions and best.cure
+    assert_diagnosed(best, name)
+    assert best.cure
     assert second.contradictions or {best.hypothesis, second.hypothesis} in MIRRORED
 
 
@@ -99,7 +105,7 @@ def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, orde
     best = findings(folder / "log.csv", scene)[0]
     # These are the numbers that the log's anchors 1, 2 and 3 have in the wrong scene.
     names = ", ".join(str(order.index(n) + 1) for n in (1, 2, 3))
-    assert best.hypothesis == f"anchors are the scene's {names}" and not best.contradictions
+    assert_diagnosed(best, f"anchors are the scene's {names}")
 
 
 @both
@@ -129,7 +135,7 @@ def test_a_mistake_in_a_log_that_lacks_columns_is_diagnosed(tmp_path, name):
 
     path = wrong_log(tmp_path, RIDE, change)
     best, *others = findings(path, scene_in(RIDE), partial=True)
-    assert best.hypothesis == name and not best.contradictions
+    assert_diagnosed(best, name)
     if "doppler_hz" in LACKING[name]:
         assert not any("Doppler" in f.hypothesis for f in others)
 
@@ -155,7 +161,7 @@ def test_compass_bearings_are_diagnosed_if_the_x_axis_is_known(tmp_path, name, s
     scene = replace(scene, origin=Origin(48.0, 11.0, bearing_deg=60.0))
     mistake = linear(sign, *AZIMUTHS, offset=np.radians(degrees))
     best = findings(wrong_log(tmp_path, RIDE, mistake), scene)[0]
-    assert best.hypothesis == name and not best.contradictions
+    assert_diagnosed(best, name)
 
 
 def test_a_log_with_an_hour_without_epochs_is_diagnosed_by_its_longer_part(tmp_path):
@@ -165,7 +171,7 @@ def test_a_log_with_an_hour_without_epochs_is_diagnosed_by_its_longer_part(tmp_p
 
     path = wrong_log(tmp_path, RIDE, paused)
     best = findings(path, scene_in(RIDE))[0]
-    assert best.hypothesis == "angles are in degrees" and not best.contradictions
+    assert_diagnosed(best, "angles are in degrees")
 
 
 def test_a_correct_log_with_some_wild_ranges_is_diagnosed_as_consistent(tmp_path):
@@ -175,7 +181,7 @@ def test_a_correct_log_with_some_wild_ranges_is_diagnosed_as_consistent(tmp_path
 
     path = wrong_log(tmp_path, WALK, wild)
     best = findings(path, scene_in(WALK))[0]
-    assert best.hypothesis == AS_IT_IS and not best.contradictions
+    assert_diagnosed(best, AS_IT_IS)
 
 
 def test_a_pedestrian_whose_ranges_alone_fit_too_well_suggests_no_other_anchors():
@@ -199,7 +205,7 @@ def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
     block = read_log(RIDE / "log.csv", scene, limits=False).whole()
     before = deepcopy(block)
     best = diagnose(Reading(block, scene, RADIOS["handset"], MODES[1]))[0]
-    assert best.hypothesis == "radio is standard" and not best.contradictions
+    assert_diagnosed(best, "radio is standard")
     assert_same(block, before)
     block.visible[:, 0] = False
     with refuses("log"):
