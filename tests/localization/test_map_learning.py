@@ -81,17 +81,18 @@ def scores(log, episode, radio, scene):
     return np.mean(errors), np.mean(nees), np.mean(np.array(nees) < NEES_LIMIT)
 
 
-def errors_of(scene):
-    """Return the distance (m) of each learned image from the nearest true image."""
-    apart = scene.anchors_m[1:, None] - STREET.anchors_m[None, 1:]
-    return np.linalg.norm(apart, axis=2).min(axis=1)
+def assert_learned(scene, most_m, axes=3):
+    """Check that two images were learned, each within ``most_m`` of a true image."""
+    apart = scene.anchors_m[1:, None, :axes] - STREET.anchors_m[None, 1:, :axes]
+    assert len(scene.learned) == 2
+    assert np.linalg.norm(apart, axis=2).min(axis=1).max() < most_m
 
 
 @pytest.mark.parametrize("radio", representative(["standard", "handset"], "standard"))
 def test_the_images_of_a_street_are_learned_from_one_drive(paths_of, drive, radio):
     log, _ = paths_of(1, radio)
     scene, figures = drive(1, radio)
-    assert len(scene.learned) == 2 and errors_of(scene).max() < 4.0
+    assert_learned(scene, 4.0)
     assert figures["epochs"] == len(log.epochs)
     assert 0.5 < figures["explained"] / figures["paths"] < 1.0
 
@@ -148,9 +149,8 @@ def test_paths_without_elevation_or_departure_reveal_the_images_and_the_track(
 ):
     log, episode = paths_of(5, without=without)
     scene, figures = learned([log])
-    assert len(scene.learned) == 2 and 0.5 < figures["explained"] / figures["paths"] < 1.0
-    horizontal = scene.anchors_m[1:, None, :2] - STREET.anchors_m[None, 1:, :2]
-    assert np.linalg.norm(horizontal, axis=2).min(axis=1).max() < 4.0
+    assert 0.5 < figures["explained"] / figures["paths"] < 1.0
+    assert_learned(scene, 4.0, axes=2)
     mode = default_modes("standard")[-1]
     switching = contender_from("imm-best", "standard")
     error_m = []
@@ -189,7 +189,7 @@ def test_learning_goes_on_with_the_next_log(paths_of, drive, tmp_path, seed):
     assert stored.learned == scene.learned
     second, _ = paths_of(seed + 100, scene=stored)
     again, _ = learned([second], scene=stored)
-    assert len(again.learned) == 2 and errors_of(again).max() < 2.0
+    assert_learned(again, 2.0)
     assert min(i.paths for i in again.learned) > max(i.paths for i in stored.learned) / 2
     total = sum(image.paths for image in again.learned)
     assert total > 1.5 * sum(image.paths for image in stored.learned)
@@ -217,7 +217,7 @@ def test_paths_that_a_receiver_reports_twice_make_no_image_at_the_base_station(p
     header, *rows = path.read_text().splitlines()
     path.write_text("\n".join([header, *(row for row in rows for _ in range(2))]))
     scene, _ = learned([read_paths(path, STATION)])
-    assert len(scene.learned) == 2 and errors_of(scene).max() < 2.0
+    assert_learned(scene, 2.0)
 
 
 def test_known_images_are_not_learned_again(paths_of):
@@ -239,7 +239,8 @@ def test_the_map_outlives_a_gap(paths_of):
     kept = np.flatnonzero((log.time_s < 120.0) | (log.time_s >= 150.0))
     epochs = [log.epochs[epoch] for epoch in kept]
     scene, figures = learned([log._replace(time_s=log.time_s[kept], epochs=epochs)])
-    assert figures["starts"] >= 2 and len(scene.learned) == 2 and errors_of(scene).max() < 2.0
+    assert figures["starts"] >= 2
+    assert_learned(scene, 2.0)
 
 
 def test_false_paths_alone_make_no_map_and_are_refused(paths_of):
