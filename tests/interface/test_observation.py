@@ -120,9 +120,9 @@ def close(values, expected, tolerance=1e-5):
     assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
 
 
-def assert_feature(rollout, name, values, tolerance=1e-5):
-    """Assert that a feature has these values (201,), clipped as in :meth:`Rollout.limited`."""
-    close(rollout.read(name), rollout.limited(name, values), tolerance)
+def assert_feature(rollout, name, values, tolerance=1e-5, at=slice(None)):
+    """Assert that a feature has these values ``at`` entries, clipped as by Rollout.limited."""
+    close(rollout.read(name)[at], rollout.limited(name, values), tolerance)
 
 
 def test_predicted_speed_is_the_speed_of_the_estimate(rollout):
@@ -135,7 +135,7 @@ def test_nis_and_verdicts_describe_the_last_epoch(rollout):
     assert_array_equal(verdicts != 0, rollout.episode.usable)
     for g, name in enumerate(GROUPS):
         nis = np.minimum(np.log1p(rollout.info("nis")[:, g]), 10.0)
-        close(rollout.read(f"NIS {name}")[1:], rollout.limited(f"NIS {name}", nis))
+        assert_feature(rollout, f"NIS {name}", nis, at=slice(1, None))
         assert_array_equal(rollout.read(f"verdict {name}")[1:], verdicts[:, g])
     assert rollout.read("NIS Doppler")[0] == 0.0 == rollout.read("verdict Doppler")[0]
 
@@ -212,8 +212,7 @@ def test_the_doppler_innovation_is_the_measured_minus_the_predicted_radial_veloc
             step = x[:3] - episode.scene_anchors_m[0]
             radial = x[3:6] @ step / np.linalg.norm(step)
             expected = (episode.measurement[t, 12] - x[6]) / episode.hz_per_mps - radial
-        name = "coming Doppler innovation"
-        close(rollout.read(name)[t], rollout.limited(name, expected), 1e-4)
+        assert_feature(rollout, "coming Doppler innovation", expected, 1e-4, at=t)
 
 
 def ratios(rollout):
@@ -286,16 +285,15 @@ def test_coming_features_equal_the_results_of_the_chosen_mode_in_the_next_step(r
         if name == "ukf":  # only the last mode has an NIS feature for each group
             expected |= {f"NIS {group}": np.log1p(info["nis"][g]) for g, group in enumerate(GROUPS)}
         for part, value in expected.items():
-            coming = f"coming {part} {name}"
-            close(rollout.read(coming)[t], rollout.limited(coming, value))
+            assert_feature(rollout, f"coming {part} {name}", value, at=t)
         assert rollout.read(f"coming rejected {name}")[t] == info["rejected"][:3].sum()
         coming = f"coming variance {name}"
         both = rollout.limited("position variance", rollout.read(coming)[t])
         close(both, rollout.limited(coming, variance[t]), 1e-4)
         for of, change in zip(("position", "velocity"), changes, strict=True):
             for way, value in zip(("along", "across"), change, strict=True):
-                coming = f"coming {of} correction {way} {name}"
-                close(rollout.read(coming)[t], rollout.limited(coming, value), 1e-4)
+                feature = f"coming {of} correction {way} {name}"
+                assert_feature(rollout, feature, value, 1e-4, at=t)
 
 
 def test_corrections_are_exponential_averages(rollout):
