@@ -111,7 +111,7 @@ def test_the_trail_has_the_color_of_the_mode_that_ran():
 
 
 def test_the_estimate_is_drawn_at_its_position():
-    picture = drawn(truth=[(0.0, 0.0)], estimate=[(10.0, 10.0)], modes=[1])[80:220, 160:320]
+    picture = drawn(estimate=[(10.0, 10.0)], modes=[1])[80:220, 160:320]
     rows, columns = np.nonzero(near(picture, LIGHT.modes[1]))
     user = np.argwhere(near(picture, LIGHT.truth)).mean(axis=0)
     assert rows.mean() < user[0] and columns.mean() > user[1]  # north-east of the user
@@ -168,7 +168,7 @@ def test_a_picture_does_not_depend_on_later_epochs():
 
 
 def test_an_estimate_that_is_not_finite_can_be_drawn():
-    lost = history(truth=[(0.0, 0.0)] * 3, estimate=[(0.0, 0.0)] * 3, modes=[0] * 3)
+    lost = history(truth=HERE * 3, estimate=HERE * 3, modes=[0] * 3)
     for broken in (np.nan, np.inf, 1e300):
         lost.estimate[-1] = broken
         lost.P[-1] = broken
@@ -211,8 +211,7 @@ FRAME = Rect(0.0, 20.0, 480.0, 260.0)
 
 def views(seed, action, **arguments):
     """Yield, for each epoch, the history so far, the view, and the pixels of user and estimate."""
-    env = gym.make(ID, render_mode="rgb_array", **arguments).unwrapped
-    env.reset(seed=seed)
+    env = played(0, seed, **arguments).unwrapped
     over = False
     while not over:
         *_, over, _ = env.step(action)
@@ -241,11 +240,10 @@ def test_the_view_moves_smoothly():
         assert 0.8 < later / scale < 1.25
 
 
-@pytest.mark.parametrize("end", ["pygame.quit", "pygame.font.quit"])
+@pytest.mark.parametrize("end", [pygame.quit, pygame.font.quit])
 def test_pictures_survive_the_end_of_pygame(end):
     """Check what Gymnasium's own environments do when they close."""
-    env = gym.make(ID, render_mode="rgb_array")
-    env.reset(seed=0)
+    env = played(0)
     before = env.render()
-    {"pygame.quit": pygame.quit, "pygame.font.quit": pygame.font.quit}[end]()
+    end()
     assert_array_equal(env.render(), before)
