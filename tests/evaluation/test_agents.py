@@ -252,6 +252,9 @@ def test_invalid_actions_are_refused(act):
         compare({"mine": act}, beside=(), episodes=2)
 
 
+MINE = {"mine": np.zeros_like}
+
+
 @pytest.mark.parametrize(
     ("refused", "agents", "options"),
     [
@@ -261,13 +264,13 @@ def test_invalid_actions_are_refused(act):
         ("beside", {}, {"beside": (1,)}),
         ("policies", {}, {"beside": ()}),
         ("policies", {1: np.zeros_like}, {}),
-        ("seed", {"mine": np.zeros_like}, {"seed": "1"}),
+        ("seed", MINE, {"seed": "1"}),
         ("policies", len, {}),
         ("scenario", {}, {"scenario": "train"}),
-        ("modes", {"mine": np.zeros_like}, {"modes": HANDSET}),
+        ("modes", MINE, {"modes": HANDSET}),
         ("episodes", {}, {"episodes": "ride"}),
-        ("reward", {"mine": np.zeros_like}, {"reward": "paired"}),
-        ("action", {"mine": np.zeros_like}, {"action": "weights"}),
+        ("reward", MINE, {"reward": "paired"}),
+        ("action", MINE, {"action": "weights"}),
         ("policy", {"mine": lambda o, few=[0] * 9: np.full(len(o), few.pop())}, {}),
     ],
 )
