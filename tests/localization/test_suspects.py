@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.localization.readings import (
     AZIMUTH,
@@ -38,8 +39,8 @@ def test_a_suspect_undoes_its_error(name):
     wrong = UNDONE[name](READING)
     suspect = EVERY[name]
     corrected = suspect.correct(wrong, np.full(suspect.parameters, 2.0))
-    np.testing.assert_allclose(corrected.log.measurement, READING.log.measurement, atol=1e-12)
-    np.testing.assert_allclose(corrected.scene.anchors_m, READING.scene.anchors_m, atol=1e-12)
+    assert_allclose(corrected.log.measurement, READING.log.measurement, atol=1e-12)
+    assert_allclose(corrected.scene.anchors_m, READING.scene.anchors_m, atol=1e-12)
 
 
 def test_the_corrected_scene_states_bearing_and_offsets():
@@ -96,13 +97,11 @@ def test_sentences_give_sizes_deviations_and_units():
 def test_an_undone_mistake_scales_values_and_the_likelihood_of_the_file():
     halved = READING.without(Mistake("ranges are doubled", "halve them", scaled([RANGE], 0.5, 1.0)))
     z = READING.log.measurement
-    np.testing.assert_array_equal(halved.log.measurement[:, RANGE], 1.0 + 0.5 * z[:, RANGE])
+    assert_array_equal(halved.log.measurement[:, RANGE], 1.0 + 0.5 * z[:, RANGE])
     count = values_of(READING.log)[:, RANGE].sum()
     assert halved.log_scale == count * np.log(0.5)
     later = halved.without(Mistake("angles are in degrees", "divide", scaled([ELEVATION], 0.1)))
-    np.testing.assert_array_equal(
-        later.log.sigma[:, ELEVATION], 0.1 * READING.log.sigma[:, ELEVATION]
-    )
+    assert_array_equal(later.log.sigma[:, ELEVATION], 0.1 * READING.log.sigma[:, ELEVATION])
     assert later.log_scale == halved.log_scale + count * np.log(0.1)
     finding = later.finding([])
     assert finding.hypothesis == "ranges are doubled; angles are in degrees"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicHermiteSpline
 
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, Truth
@@ -138,4 +138,4 @@ def test_poses_are_interpolated_but_not_across_gaps(tmp_path_factory, poses, epo
     time_s = np.sort(epochs) * 1e-2 + late
     position = np.random.default_rng(0).standard_normal((len(pose_s), 3))
     truth = truth_of(tmp_path_factory.mktemp("truth"), pose_s, position)
-    np.testing.assert_allclose(truth.at(time_s), expected(pose_s, position, time_s), atol=1e-9)
+    assert_allclose(truth.at(time_s), expected(pose_s, position, time_s), atol=1e-9)
