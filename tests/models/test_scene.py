@@ -32,6 +32,9 @@ normals = st.tuples(coordinates, coordinates).filter(lambda n: np.hypot(*n) > 1e
 walls = st.builds(Wall, normals, coordinates)
 
 MINIMAL = {"base_station_m": [10, 10, 10]}
+# positions of anchors
+HERE = (1.0, 2.0, 3.0)
+THERE = (4.0, 5.0, 6.0)
 
 
 @settings(derandomize=True)
@@ -84,7 +87,7 @@ def test_a_scene_file_may_list_anchors(tmp_path):
 
 
 def test_surveyed_virtual_anchors_are_listed_after_mirror_images():
-    scene = replace(SCENES["street"], virtual_anchors_m=((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
+    scene = replace(SCENES["street"], virtual_anchors_m=(HERE, THERE))
     np.testing.assert_allclose(
         scene.anchors_m, [[10, 10, 10], [10, 40, 10], [360, 10, 10], [1, 2, 3], [4, 5, 6]]
     )
@@ -93,19 +96,19 @@ def test_surveyed_virtual_anchors_are_listed_after_mirror_images():
 # corrections of a log's frame and ranges
 CORRECTED = {"bearing_deg": 2.5, "range_offset_m": (1.0, -2.0), "range_offset_sigma_m": (0.1, 0.2)}
 LEARNED = (LearnedImage((0.1, 0.2, 0.3), 42),)
-IMAGE = {"virtual_anchors_m": ((4.0, 5.0, 6.0),), "learned": LEARNED}
+IMAGE = {"virtual_anchors_m": (THERE,), "learned": LEARNED}
 
 
 @pytest.mark.parametrize(
     "scene",
     [
         *SCENES.values(),
-        replace(SCENES["o1"], name="both", virtual_anchors_m=((1.0, 2.0, 3.0),)),
-        Scene("surveyed", (1.0, 2.0, 3.0), virtual_anchors_m=((4.0, 5.0, 6.0),)),
-        Scene("alone", (1.0, 2.0, 3.0), (), Streets(y_m=(0.0, 80.0)), 39e9, 4e8),
+        replace(SCENES["o1"], name="both", virtual_anchors_m=(HERE,)),
+        Scene("surveyed", HERE, virtual_anchors_m=(THERE,)),
+        Scene("alone", HERE, (), Streets(y_m=(0.0, 80.0)), 39e9, 4e8),
         replace(SCENES["street"], name="learned", **IMAGE),
-        Scene("learned and corrected", (1.0, 2.0, 3.0), **IMAGE, **CORRECTED),
-        Scene("corrected", (1.0, 2.0, 3.0), (Wall((0.0, 1.0), 25.0),), **CORRECTED),
+        Scene("learned and corrected", HERE, **IMAGE, **CORRECTED),
+        Scene("corrected", HERE, (Wall((0.0, 1.0), 25.0),), **CORRECTED),
     ],
     ids=lambda scene: scene.name,
 )
