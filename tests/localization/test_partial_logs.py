@@ -9,7 +9,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import RADIOS
-from tests.cli import command
+from tests.cli import succeed
 from tests.localization.mistakes import read_columns, write_columns
 from tests.localization.test_live_epochs import SCENE, WALK
 from tests.logs.by_hand import refuses_log
@@ -76,8 +76,7 @@ def test_the_side_of_the_user_decides_between_mirrored_positions(tmp_path, x):
     path = written(tmp_path, ("time_s", "anchor", "toa_s", "aoa_elevation_rad", "snr_db"))
     out = tmp_path / "track.tum"
     scene = ("--scene", WALK / "scene.json", "--radio", "standard", "--start", f"{x},0")
-    done = command("localize", path, *scene, "--no-smoothing", "--speed", "1", "--out", out)
-    assert done.returncode == 0, done.stderr
+    succeed("localize", path, *scene, "--no-smoothing", "--speed", "1", "--out", out)
     times, *track = np.loadtxt(out).T[:3]
     early = times < times[0] + 12.0  # later, the walk crosses the line of the anchors
     truth_x, truth_y, _ = Truth(WALK / "truth.tum").at(times).T
