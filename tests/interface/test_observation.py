@@ -269,9 +269,10 @@ def corrections(rollout):
     A change has two components: along and across (to the left of) the predicted motion.
     """
     for (_, x), info in zip(predictions(rollout), rollout.infos[1:], strict=True):
-        ahead = x[3:5] / np.sqrt(x[3:5] @ x[3:5] + 1e-6)
+        velocity = x[3:5]
+        ahead = velocity / np.sqrt(velocity @ velocity + 1e-6)
         axes = np.array([ahead, [-ahead[1], ahead[0]]])
-        yield axes @ (info["estimate"][:2] - x[:2]), axes @ (info["estimate"][3:5] - x[3:5])
+        yield axes @ (info["estimate"][:2] - x[:2]), axes @ (info["estimate"][3:5] - velocity)
 
 
 def test_coming_features_equal_the_results_of_the_chosen_mode_in_the_next_step(rollout):

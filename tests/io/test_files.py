@@ -132,17 +132,18 @@ def test_writing_to_a_link_writes_the_file_that_it_points_to(tmp_path, exists):
 
 
 def test_errors_never_name_a_temporary_file(tmp_path, monkeypatch):
-    with pytest.raises(FileNotFoundError) as error, atomic_path(tmp_path / "a") as temporary:
+    path = tmp_path / "a"
+    with pytest.raises(FileNotFoundError) as error, atomic_path(path) as temporary:
         temporary.unlink()
-    assert error.value.filename == str(tmp_path / "a")
+    assert error.value.filename == str(path)
 
     def refused(*_, **__):
         raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path / "tmpxyz"))
 
     monkeypatch.setattr("tempfile.TemporaryFile", refused)
     with pytest.raises(PermissionError) as error:
-        require_writable(tmp_path / "a")
-    assert error.value.filename == str(tmp_path / "a")
+        require_writable(path)
+    assert error.value.filename == str(path)
 
 
 # --- reading
