@@ -307,15 +307,12 @@ def test_paths_that_do_not_fit_the_map_cause_a_warning(tmp_path, mistake, advice
 
 # --- a place without a map
 
+PATHS = (STREET / "log.csv").read_bytes()
+
 
 def learning(folder):
     """Return the options that learn the map of a folder."""
     return "--scene", folder / "base-station.json", "--radio", "standard", "--map", "learn"
-
-
-def map_options(folder, *more):
-    """Return the words after ``localize`` that learn the map of a folder."""
-    return [folder / "log.csv", *learning(folder), *more]
 
 
 @pytest.mark.slow
@@ -368,7 +365,7 @@ def test_a_live_map_is_written_if_the_program_is_ended(tmp_path, number):
     pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": False}
     child = started("localize", "-", "--live", *words, "--map-out", file, **pipes, preexec_fn=heed)
     with child:
-        child.stdin.write((STREET / "log.csv").read_bytes())
+        child.stdin.write(PATHS)
         child.stdin.flush()
         for _ in range(150):
             child.stdout.readline()
@@ -399,15 +396,14 @@ def test_a_live_map_that_explains_few_paths_causes_one_warning(tmp_path):
 )
 def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(more):
     words = learning(STREET)
-    _, (line,) = live((STREET / "log.csv").read_bytes(), *words, *more, code=2)
+    _, (line,) = live(PATHS, *words, *more, code=2)
     assert f"{more[0].removeprefix('--')}: cannot be combined with --map" in line
 
 
 def test_a_live_map_does_not_replace_the_scene(tmp_path):
     scene = tmp_path / "base-station.json"
     scene.write_bytes((STREET / scene.name).read_bytes())
-    content = (STREET / "log.csv").read_bytes()
-    _, (line,) = live(content, *learning(tmp_path), "--map-out", scene, code=2)
+    _, (line,) = live(PATHS, *learning(tmp_path), "--map-out", scene, code=2)
     assert f"map-out: found {scene}" in line
     assert scene.read_bytes() == (STREET / scene.name).read_bytes()
 
@@ -422,7 +418,7 @@ def test_a_live_map_does_not_replace_the_scene(tmp_path):
     ],
 )
 def test_options_that_do_not_fit_a_map_are_refused(tmp_path, field, more):
-    _, line = refused(map_options(STREET, *more), cwd=tmp_path)
+    _, line = refused([STREET / "log.csv", *learning(STREET), *more], cwd=tmp_path)
     assert field in line and not list(tmp_path.iterdir())
 
 
@@ -430,7 +426,8 @@ def test_a_log_in_which_no_track_begins_is_refused_and_nothing_is_written(tmp_pa
     # on a line of sight, arrival and departure are opposite
     wrong_log(tmp_path, STREET, lambda c: c | {"aod_azimuth_rad": c["aoa_azimuth_rad"]})
     (tmp_path / "base-station.json").write_text((STREET / "base-station.json").read_text())
-    _, line = refused(map_options(tmp_path, "--map-out", tmp_path / "learned.json"), cwd=tmp_path)
+    words = (*learning(tmp_path), "--map-out", tmp_path / "learned.json")
+    _, line = refused([tmp_path / "log.csv", *words], cwd=tmp_path)
     assert "log 1 of 1: " in line and not (tmp_path / "learned.json").exists()
 
 
