@@ -87,6 +87,11 @@ def succeed(*words, cwd=ROOT):
     return done.stdout
 
 
+def assert_printable(done):
+    """Check that a command printed no control characters."""
+    assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+
+
 def with_json(*words):
     """Run a command with the option --json; return its output and the content of the file."""
     with TemporaryDirectory() as folder:

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
-from tests.cli import assert_refused, command, started, succeed
+from tests.cli import assert_printable, assert_refused, command, started, succeed
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
+from tests.commands.test_kills import contents
 from tests.paths import json_in, write_json
 
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
@@ -25,7 +26,7 @@ def test_a_picture_is_drawn_for_a_log_in_a_folder_with_an_odd_name(tmp_path):
     words = ("--truth", folder / "truth.tum", "--speed", "9", "--plot", folder / "new" / "t.png")
     done = command("localize", *options(folder / "log.csv", *words, folder=folder))
     assert done.returncode == 0, done.stderr
-    assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+    assert_printable(done)
     content = (folder / "new" / "t.png").read_bytes()
     assert content.startswith(b"\x89PNG") and len(content) > 20_000
 
@@ -89,10 +90,10 @@ def test_tracks_in_map_files_are_named_after_the_log_and_one_run_writes_several_
 @pytest.mark.parametrize("wrong", ["t.kml", "scene.json", "my_ride.csv.gz", "no_map.csv"])
 def test_if_one_file_of_several_is_refused_none_is_written(mapped, wrong):
     (mapped / "no_map.csv").write_text("the only copy")
-    before = {path: path.read_bytes() for path in mapped.iterdir()}
+    before = contents(mapped)
     listed = ".*tum, .txt, .csv, .geojson, .gpx, .nmea" if wrong == "t.kml" else ""
     assert_refused(f"out: found {wrong}{listed}", *MAPPED, "t.gpx", "t.tum", wrong, cwd=mapped)
-    assert {path: path.read_bytes() for path in mapped.iterdir()} == before
+    assert contents(mapped) == before
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

@@ -16,6 +16,7 @@ from experiments.console.main import COMMANDS, read_arguments
 from experiments.console.options import IntegrityArgs, TaskArgs
 from tests.cli import (
     assert_one_clear_line,
+    assert_printable,
     assert_refused,
     command,
     environment,
@@ -232,6 +233,6 @@ def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
 def test_messages_about_mistakes_contain_no_control_characters(word):
     for words in (("compare", "--radio", word), ("compare", "--policies", word), (word,)):
         done = command(*words)
-        assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+        assert_printable(done)
         assert done.returncode == 2
     assert_refused("--no", "compare", f"--no{word}")
