@@ -57,6 +57,11 @@ def findings(path, scene, partial=False):
     return diagnose(Reading(log if partial else log.whole(), scene, RADIO, MODES[1]))
 
 
+def diagnosed(tmp_path, folder, mistake):
+    """Return the most likely finding about the log of a folder with a mistake."""
+    return findings(wrong_log(tmp_path, folder, mistake), scene_in(folder))[0]
+
+
 def assert_diagnosed(best, hypothesis):
     """Check that the best finding is this hypothesis, and that it leaves no contradictions."""
     assert best.hypothesis == hypothesis and not best.contradictions
@@ -110,10 +115,8 @@ def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, orde
 
 @both
 def test_two_mistakes_in_one_log_are_both_diagnosed(tmp_path, folder):
-    scene = scene_in(folder)
     zenith = MISTAKES["elevation is a zenith angle"]
-    path = wrong_log(tmp_path, folder, lambda c: zenith(exchanged(c)))
-    best = findings(path, scene)[0]
+    best = diagnosed(tmp_path, folder, lambda c: zenith(exchanged(c)))
     assert not best.contradictions
     mistakes = {"arrival and departure are exchanged", "elevation is a zenith angle"}
     assert set(best.hypothesis.split("; ")) == mistakes
@@ -169,8 +172,7 @@ def test_a_log_with_an_hour_without_epochs_is_diagnosed_by_its_longer_part(tmp_p
         wrong = MISTAKES["angles are in degrees"](columns)
         return wrong | {"time_s": columns["time_s"] + 3600.0 * (columns["time_s"] > 9.0)}
 
-    path = wrong_log(tmp_path, RIDE, paused)
-    best = findings(path, scene_in(RIDE))[0]
+    best = diagnosed(tmp_path, RIDE, paused)
     assert_diagnosed(best, "angles are in degrees")
 
 
@@ -179,8 +181,7 @@ def test_a_correct_log_with_some_wild_ranges_is_diagnosed_as_consistent(tmp_path
         late = np.arange(len(columns["toa_s"])) % 30 == 10
         return columns | {"toa_s": columns["toa_s"] + 1e-6 * late}
 
-    path = wrong_log(tmp_path, WALK, wild)
-    best = findings(path, scene_in(WALK))[0]
+    best = diagnosed(tmp_path, WALK, wild)
     assert_diagnosed(best, AS_IT_IS)
 
 
@@ -196,8 +197,7 @@ def test_ten_epochs_that_fit_no_hypothesis_are_not_called_consistent(tmp_path):
         wrong = linear(np.pi / 180.0, "aoa_azimuth_rad")(columns)
         return {name: values[first] for name, values in wrong.items()}
 
-    path = wrong_log(tmp_path, WALK, short)
-    assert findings(path, scene_in(WALK))[0].contradictions
+    assert diagnosed(tmp_path, WALK, short).contradictions
 
 
 def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
