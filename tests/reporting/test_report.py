@@ -37,6 +37,11 @@ def compared(tmp_path, content):
     return report(tmp_path, write_json(tmp_path / "r.json", content), *NONE)
 
 
+def names_in(page, label):
+    """Return the first column of the table with this label, without its header."""
+    return [row[0] for row in page.table(f'aria-label="{label}"')[1:]]
+
+
 @pytest.mark.parametrize(
     ("pairs", "title"),
     [
@@ -77,8 +82,7 @@ def test_a_page_of_a_track_has_tables_and_a_title(tmp_path, track):
     page = report(tmp_path, broken)
     assert "log.csv: line 41: found 'x'" in page.text
     assert page.title.startswith(f"{track['epochs']} epochs of ")
-    _, *rows = page.table('aria-label="measured"')
-    assert [row[0] for row in rows] == [*track["groups"]]
+    assert names_in(page, "measured") == [*track["groups"]]
 
 
 @pytest.mark.slow
@@ -103,7 +107,7 @@ def test_the_report_plays_the_compared_episodes_again(tmp_path):
         assert {len(letters) for letters in course["fate"]} == {len(episode["time_s"])} == {40}
         away = np.hypot(*(np.subtract(course[axis], episode[axis]) for axis in "xy"))
         assert (away <= np.array(course["error_m"]) + 0.03).all()
-    _, *best = (row[0] for row in page.table('aria-label="policy"'))
+    best = names_in(page, "policy")
     rows = re.findall(r">([^<>]+), (horizontal|vertical)</th>", page.page)
     assert rows == [(name, kind) for name in best for kind in ("horizontal", "vertical")]
 
@@ -154,7 +158,7 @@ def test_modules_that_results_name_are_not_imported(tmp_path, monkeypatch, track
     assert "trap" not in sys.modules
     for episode in json.loads(page.data)["episodes"]:
         assert set(episode["contenders"]) == {"fixed-ekf"}
-    assert [row[0] for row in page.table('aria-label="measured"')[1:]] == [*track["groups"]]
+    assert names_in(page, "measured") == [*track["groups"]]
 
 
 def test_hostile_names_neither_break_the_page_nor_run_code_in_it(tmp_path, track):
@@ -168,8 +172,7 @@ def test_hostile_names_neither_break_the_page_nor_run_code_in_it(tmp_path, track
     page = report(tmp_path, write_json(tmp_path / "r.json", content), log, *NONE)
     assert not [tag for tag, known in page.tags if tag == "b" or "onerror" in known]
     assert [tag for tag, _ in page.tags].count("script") == 2
-    rows = page.table('aria-label="policy"')[1:]
-    assert [row[0] for row in rows] == [*map(printable, policies)]
+    assert names_in(page, "policy") == [*map(printable, policies)]
     assert not {"\x1b", "\u202e"} & {*page.text, *page.data}
     ids = page.attributes("id")
     assert len(ids) == len(set(ids))
