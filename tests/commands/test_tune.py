@@ -119,8 +119,12 @@ def test_the_search_finds_a_planted_bank():
     space = search_space(START[:3])
     away = np.random.default_rng(0).standard_normal(len(space.start))
     planted = space.bank_at(space.start + 0.7 * space.deviation * away)
-    start = best_bank_of(space, lambda bank, _: -distance(bank, planted), 0)
-    best = best_bank_of(space, lambda bank, _: -distance(bank, planted), 3000)
+
+    def closeness(bank, _):
+        return -distance(bank, planted)
+
+    start = best_bank_of(space, closeness, 0)
+    best = best_bank_of(space, closeness, 3000)
     assert distance(best, planted) < 0.02 * distance(start, planted)
 
 

@@ -38,19 +38,16 @@ class Problem(NamedTuple):
 
     def ours(self, algorithm, gate, P=None):
         partial = self.measured is not None
-        layout = Layout(
-            self.sensor.links,
-            self.sensor.odometry,
-            partial,
-            "offset" if self.sensor.clock else "synchronized",
-        )
+        sensor = self.sensor
+        clock = "offset" if sensor.clock else "synchronized"
+        layout = Layout(sensor.links, sensor.odometry, partial, clock)
         rows = self.z.tolist(), self.R.tolist(), self.visible.astype(float).tolist()
         if partial:
-            shifted = np.eye(self.sensor.links)[self.sensor.shifted].tolist()
+            shifted = np.eye(sensor.links)[sensor.shifted].tolist()
             more = self.measured.astype(float).tolist(), shifted
         else:
             more = ()
-        measurement = Measurement(self.sensor.anchors.tolist(), HZ_PER_MPS, *rows, layout, *more)
+        measurement = Measurement(sensor.anchors.tolist(), HZ_PER_MPS, *rows, layout, *more)
         P = self.P if P is None else P
         return algorithm(self.x.tolist(), P.tolist(), measurement, gate)
 

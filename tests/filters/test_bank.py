@@ -75,16 +75,19 @@ def test_arguments_that_do_not_name_modes_are_refused(modes):
         modes_from(modes)
 
 
+PLAIN_MODE = {"name": "a"}  # as files have it
+
+
 @pytest.mark.parametrize(
     ("content", "fields"),
     [
         ([], []),
         ({}, ["modes"]),
-        ({"modes": [{"name": "a"}] * 33}, ["modes"]),
-        ({"modes": [{"name": "a"}, {"name": "a"}]}, ["modes"]),
-        ({"modes": [{"name": "a", "key": 1}]}, ["modes[0]", "key"]),
-        ({"modes": [{"name": "a", "algorithm": ["ekf"]}]}, ["modes[0]", "algorithm"]),
-        ({"modes": [{"name": "a"}], "transitions": [[1.0]]}, ["key"]),
+        ({"modes": [PLAIN_MODE] * 33}, ["modes"]),
+        ({"modes": [PLAIN_MODE, PLAIN_MODE]}, ["modes"]),
+        ({"modes": [PLAIN_MODE | {"key": 1}]}, ["modes[0]", "key"]),
+        ({"modes": [PLAIN_MODE | {"algorithm": ["ekf"]}]}, ["modes[0]", "algorithm"]),
+        ({"modes": [PLAIN_MODE], "transitions": [[1.0]]}, ["key"]),
     ],
 )
 def test_a_wrong_mode_file_is_refused_with_the_name_of_the_field(tmp_path, content, fields):
