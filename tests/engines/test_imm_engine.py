@@ -33,6 +33,7 @@ from tests.refusals import refuses
 N = 11
 T = 60
 MODES = default_modes()
+every_radio = pytest.mark.parametrize("radio", TUNED_RADIOS)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ def test_an_invalid_transition_or_quantile_is_refused(name, value):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("radio", TUNED_RADIOS)
+@every_radio
 def test_a_track_that_starts_100_m_off_recovers(radio):
     seeds = range(5_000_000, 5_000_040)
     batch = EpisodeBatch.of(draw_episodes(street_source(radio=radio), seeds))
@@ -144,7 +145,7 @@ def played(bank, episodes, actions, *names):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [1.0, 0.1])
-@pytest.mark.parametrize("radio", TUNED_RADIOS)
+@every_radio
 def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank = best_bank(radio)
     episodes = in_steps_of(dt, simulated(9, epochs=200))

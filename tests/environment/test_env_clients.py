@@ -46,6 +46,7 @@ COPIES = {
     "deepcopy": copy.deepcopy,
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),
 }
+every_way = pytest.mark.parametrize("how", COPIES)
 CONFIGURATIONS = {
     "ten epochs a second": {"episode_steps": 25, "dt": 0.1} | EKF,
     "own reward": {"episode_steps": 6, "reward": Closeness()} | EKF,
@@ -62,7 +63,7 @@ VECTORS = {
 }
 
 
-@pytest.mark.parametrize("how", COPIES)
+@every_way
 @pytest.mark.parametrize("configuration", CONFIGURATIONS | VECTORS)
 def test_a_copy_continues_independently_with_identical_results(how, configuration):
     """Check copies made before the first reset, and copies made in the middle of an episode."""
@@ -105,7 +106,7 @@ class Noted(MmWaveLocEnv):
         self.notes = [note]
 
 
-@pytest.mark.parametrize("how", COPIES)
+@every_way
 def test_attributes_that_a_subclass_or_a_user_added_are_copied(how):
     env = Noted("mine", **EKF)
     env.label = "added"

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from mmwave_env.filters import Gate, Mode, Pipeline, ekf, textbook
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
@@ -52,7 +53,7 @@ def assert_agree(pipeline, episodes, *more):
     ours, twin = both(pipeline, episodes, 0, ("x", "P", "memory", "observation", *more))
     assert_same_beliefs(twin, ours, rtol=1e-9)
     for part in ("memory", "observation"):
-        np.testing.assert_allclose(twin[part], ours[part], rtol=1e-7, atol=1e-7)
+        assert_allclose(twin[part], ours[part], rtol=1e-7, atol=1e-7)
     return ours, twin
 
 
@@ -171,7 +172,7 @@ def test_jacobian_rows_of_undefined_angles_are_zero_and_other_rows_are_derivativ
     H = s.jacobian(x)
     assert np.isfinite(H).all() and not H[silent].any()
     if lost is None:
-        np.testing.assert_allclose(H, derivative(s, x, 1e-7), rtol=1e-4, atol=1e-3)
+        assert_allclose(H, derivative(s, x, 1e-7), rtol=1e-4, atol=1e-3)
 
 
 def test_the_exact_measurement_of_a_user_at_an_anchor_is_finite():

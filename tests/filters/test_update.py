@@ -26,14 +26,15 @@ KINDS = {
     "clock": {"clock": True},
     "clock, odometry and some rows": {"clock": True, "odometry": True, "partial": True},
 }
-WHOLE = ["radio", "odometry", "clock"]
 
 algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
+whole_kinds = pytest.mark.parametrize("kind", ["radio", "odometry", "clock"])
+any_data = given(data=st.data())
 
 
 @algorithms
 @pytest.mark.parametrize("kind", KINDS)
-@given(data=st.data())
+@any_data
 @settings(max_examples=25)
 def test_an_update_equals_the_textbook(algorithm, kind, data):
     """Check also problems with missing rows, in which any anchor may have the Doppler shift."""
@@ -45,11 +46,11 @@ def test_an_update_equals_the_textbook(algorithm, kind, data):
     assert_same(problem.ours(ALGORITHMS[algorithm], gate), expected, visible=visible)
 
 
-@pytest.mark.parametrize("kind", WHOLE)
+@whole_kinds
 @pytest.mark.parametrize(
     "parameters", [(0.5, 2.0, 0.0), (1.0, 2.0, -4.0), (1.0, 2.0, 3.0)], ids=str
 )
-@given(data=st.data())
+@any_data
 @settings(max_examples=15)
 def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parameters, data):
     problem = data.draw(problems(**KINDS[kind]))
@@ -71,8 +72,8 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parame
         ("ckf", textbook.unscented(1.0, 0.0, 2.0)),
     ],
 )
-@pytest.mark.parametrize("kind", WHOLE)
-@given(data=st.data())
+@whole_kinds
+@any_data
 @settings(max_examples=12)
 def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments, kind, data):
     """Compare with six free states if the state includes a clock's range bias."""

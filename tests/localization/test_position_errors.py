@@ -24,6 +24,7 @@ from tests.filters.tracks import packed
 from tests.refusals import refuses
 
 risks = st.floats(-7.0, np.log10(0.5)).map(lambda power: 10.0**power)
+few = settings(max_examples=25)
 
 
 def turned(major, minor, angle):
@@ -44,7 +45,7 @@ def beyond(distance, major, minor):
     return 2.0 * (inside + norm.sf(distance / minor))
 
 
-@settings(max_examples=25)
+@few
 @given(
     risk=risks, major=st.floats(0.01, 100.0), ratio=st.floats(0.01, 1.0), angle=st.floats(0.0, 7.0)
 )
@@ -53,15 +54,16 @@ def test_errors_exceed_the_horizontal_level_with_the_stated_probability(risk, ma
     assert beyond(level, major, ratio * major) == pytest.approx(risk, rel=2e-5)
 
 
-@settings(max_examples=25)
+@few
 @given(risk=risks, sigma=st.floats(0.01, 100.0))
 def test_levels_of_a_line_and_of_a_circle_equal_the_textbook(risk, sigma):
+    expected = sigma * norm.isf(0.5 * risk)
     line = horizontal_level(turned(sigma, 0.0, 1.0), risk)
     circle = horizontal_level(turned(sigma, sigma, 1.0), risk)
-    assert line == pytest.approx(sigma * norm.isf(0.5 * risk), rel=1e-6)
+    assert line == pytest.approx(expected, rel=1e-6)
     assert circle == pytest.approx(sigma * np.sqrt(-2.0 * np.log(risk)), rel=1e-6)  # Rayleigh
     upwards = packed(np.diag([9.0, 4.0, sigma**2]))
-    assert gaussian_levels(upwards, risk)[1] == pytest.approx(sigma * norm.isf(0.5 * risk))
+    assert gaussian_levels(upwards, risk)[1] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("exceeded", "epochs"), [(0, 50), (3, 200), (7, 7)])
@@ -104,7 +106,7 @@ def assert_figures(figures, size, level):
     assert figures["exceeded"] == (size > level).sum()
 
 
-@settings(max_examples=25)
+@few
 @given(error=ERRORS, cut=st.integers(0, 60))
 def test_statistics_of_errors_in_any_pieces_equal_statistics_in_numpy(error, cut):
     errors = PositionErrors(risk=0.05)

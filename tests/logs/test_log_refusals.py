@@ -32,6 +32,8 @@ from tests.logs.by_hand import (
 )
 from tests.refusals import refuses
 
+every_suffix = pytest.mark.parametrize("suffix", SUFFIXES)
+
 
 def edit(row, column, value):
     """Return a function that changes a cell in a row; row 0 is line 2, which follows the header."""
@@ -208,7 +210,7 @@ def test_a_log_without_any_measurement_is_refused(tmp_path, lines):
         read(path)
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@every_suffix
 def test_a_log_that_needs_more_memory_than_there_is_is_refused_with_its_size(
     tmp_path, monkeypatch, suffix
 ):
@@ -226,7 +228,7 @@ def test_files_with_an_unknown_ending_are_refused(tmp_path, name):
         read_back(tmp_path, text(rows()), name)
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@every_suffix
 def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_path, suffix):
     require_pyarrow(suffix)
     with refuses("nowhere", error=FileNotFoundError):

@@ -37,6 +37,7 @@ KINDS = {
         card_of(features=READ, beliefs="per-mode", banks={"handset": HANDSET, "standard": PLAIN}),
     ),
 }
+every_kind = pytest.mark.parametrize("kind", KINDS)
 TENSORS, CARD = KINDS["prior"]
 WHOLE = to_bytes(TENSORS, CARD)
 PER_MODE_TENSORS, PER_MODE_CARD = KINDS["per-mode"]
@@ -74,7 +75,7 @@ def assembled(tensors=TENSORS, card=None, **changes):
     return save(tensors, document(tensors, card, **changes))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@every_kind
 def test_a_policy_file_is_read_back_as_it_was_written(path, kind):
     tensors, card = KINDS[kind]
     policy = read_policy(write(path, tensors, card))
@@ -129,7 +130,7 @@ def test_a_file_with_a_damaged_byte_is_refused_or_read_unchanged(path, place, ch
     assert policy is None or same(policy, TENSORS, CARD)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@every_kind
 def test_missing_and_additional_tensors_are_refused(path, kind):
     tensors, card = KINDS[kind]
     for name in tensors:

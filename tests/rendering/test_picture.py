@@ -23,6 +23,7 @@ ID = "mmwave_env:MmWaveLoc-v0"
 LIGHT = THEMES["light"]
 GROUPS = 4
 NOTHING = np.zeros(GROUPS, bool)
+every_theme = pytest.mark.parametrize("theme", THEMES)
 
 
 def near(picture, color):
@@ -76,7 +77,7 @@ def test_the_first_picture_shows_the_prior_and_the_user():
 
 
 @pytest.mark.parametrize("size", [480, 1080])
-@pytest.mark.parametrize("theme", THEMES)
+@every_theme
 def test_a_picture_has_the_chosen_size_and_theme(size, theme):
     picture = played(3, render_size=size, render_theme=theme).render()
     assert picture.shape == (size, size, 3)
@@ -191,7 +192,7 @@ def test_wrong_render_options_are_refused(name, value):
         MmWaveLocEnv(**{"render_mode": "rgb_array"} | {name: value})
 
 
-@pytest.mark.parametrize("theme", THEMES)
+@every_theme
 def test_text_has_enough_contrast_with_its_background(theme):
     """Compute the contrast as WCAG 2.2 defines it."""
 
