@@ -43,8 +43,8 @@ def started(package, script=SCRIPT, **variables):
     home = package.parent.parent
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
     # Write no bytecode: Python would still run it after an edit that keeps a file's time and size.
-    own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
-    every = {name: value for name, value in (clean | own | variables).items() if value is not None}
+    own = {"PYTHONPATH": package.parent, "PYTHONDONTWRITEBYTECODE": "1", "HOME": home}
+    every = {name: str(value) for name, value in (clean | own | variables).items()}
     return cli.started(program=("-c", script), env=every, cwd=home)
 
 
@@ -191,7 +191,7 @@ function._cache.save_overload(function.signatures[0], SimpleNamespace(
 def planted(package, tmp_path):
     """Return a file, stored in a shared folder, that runs planted code when it is loaded."""
     shared = tmp_path / "shared"
-    finished(started(package, PLANT, NUMBA_CACHE_DIR=str(shared)))
+    finished(started(package, PLANT, NUMBA_CACHE_DIR=shared))
     (file,) = shared.glob("*/*")
     return file
 
@@ -232,7 +232,7 @@ posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs owners and 
 
 
 def test_a_file_of_the_same_user_is_loaded(package, tmp_path, planted):
-    assert run(package, NUMBA_CACHE_DIR=str(planted.parent.parent)) == (41, 0)
+    assert run(package, NUMBA_CACHE_DIR=planted.parent.parent) == (41, 0)
     assert (tmp_path / "planted code ran").exists()  # otherwise the next test proves nothing
 
 
@@ -240,7 +240,7 @@ def test_a_file_of_the_same_user_is_loaded(package, tmp_path, planted):
 @pytest.mark.parametrize("case", UNTRUSTED)
 def test_a_file_that_others_may_have_written_is_not_loaded(package, tmp_path, planted, case):
     script = (UNTRUSTED[case](planted) or "") + SCRIPT
-    shared = str(planted.parent.parent)
+    shared = planted.parent.parent
     runs = [finished(started(package, script, NUMBA_CACHE_DIR=shared)) for _ in range(2)]
     assert not (tmp_path / "planted code ran").exists()
     assert runs == [["41", "0"], ["41", "1"]]
@@ -261,7 +261,7 @@ def test_stored_files_are_private_but_are_loaded_even_if_others_may_read_them(pa
 def test_cleaning_deletes_only_unused_old_folders_of_the_same_user(package, tmp_path):
     shared = tmp_path / "shared"
     precious = tmp_path / "precious"
-    assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 0)
+    assert run(package, NUMBA_CACHE_DIR=shared) == (41, 0)
     (used,) = shared.iterdir()
     os.utime(used, (0, 0))
     for age, folder in enumerate([precious, *[shared / f"mmwave_env-{n}" for n in range(1, 31)]]):
@@ -270,9 +270,9 @@ def test_cleaning_deletes_only_unused_old_folders_of_the_same_user(package, tmp_
         os.utime(folder, (age + 1, age + 1))
     (shared / "mmwave_env-link").symlink_to(precious)
     script = given_away(shared / "mmwave_env-1") + SCRIPT
-    assert finished(started(package, script, NUMBA_CACHE_DIR=str(shared))) == ["41", "1"]
+    assert finished(started(package, script, NUMBA_CACHE_DIR=shared)) == ["41", "1"]
     left = {path.name for path in shared.iterdir()}
     assert {used.name, "mmwave_env-30", "mmwave_env-1"} < left
     assert "mmwave_env-link" in left and (precious / "content").exists()
     assert "mmwave_env-2" not in left and len(left) < 15
-    assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 1)
+    assert run(package, NUMBA_CACHE_DIR=shared) == (41, 1)
