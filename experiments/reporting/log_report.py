@@ -40,7 +40,7 @@ def _course(f: Json) -> Iterator[str]:
         yield f"{f['skipped']} epochs before the first position were skipped"
     if f["restarts"] or f["dropped"]:
         event = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
-        gaps = f"gaps of more than {GAP_S:g} s, or where the next epochs contradicted a start"
+        gaps = f"gaps of more than {GAP_S:g} s, or where epochs contradicted the track"
         if "association" in f:
             gaps += ", or where another track explained the paths better"
         yield f"{event} {gaps}; {f['dropped']} epochs skipped"

@@ -77,6 +77,7 @@ class Fix(NamedTuple):
     position: Array  # (3,), or (4,) with the clock's range bias
     covariance: Array
     used: Index  # indices of the links that determined it
+    agree: bool  # whether all links agree, and have more values than there are unknowns
 
 
 def position_from_links(links: Array, sigma: Array, scene: Scene, clock: str) -> Fix | None:
@@ -109,15 +110,14 @@ def position_from_links(links: Array, sigma: Array, scene: Scene, clock: str) ->
     mirrored = not azimuths.any() and on_a_line(points)
     if mirrored and scene.side is None:
         return None  # without azimuths, a mirrored position fits as well
-    n = 3 + len(bias_sigma_m)
     deviation = [reach_m, reach_m, HEIGHT_SIGMA_M, *bias_sigma_m]
-    center = [*every[:, :2].mean(axis=0), scene.streets.height_m, 0.0]
+    center = [*every[:, :2].mean(axis=0), scene.streets.height_m, 0.0][: len(deviation)]
     problem = _Links(
         anchors=anchors.T,
         z=np.where(measured, z, 0.0),
         variance=np.where(measured, deviations**2, 1.0),
         measured=measured.astype(float),
-        center=np.array(center[:n]),
+        center=np.array(center),
         weight=1.0 / np.array(deviation) ** 2,
         synchronized=clock != "free",
     )
@@ -132,13 +132,13 @@ def position_from_links(links: Array, sigma: Array, scene: Scene, clock: str) ->
     if wrong:
         others = links.copy()
         others[visible[wrong]] = np.nan
-        return position_from_links(others, sigma, scene, clock)
+        fix = position_from_links(others, sigma, scene, clock)
+        return fix and fix._replace(agree=False)
     covariance = _covariance(problem, best, cost, position, information)
     if covariance is None:
         return None
-    if not _agree(problem, cost[best]):
-        covariance *= cost[best] / measured.sum()  # reduced chi-square
-    return Fix(position[best], covariance, visible)
+    agree = _agree(problem, cost[best]) and measured.sum() > len(deviation)
+    return Fix(position[best], covariance, visible, agree)
 
 
 def _wrong_links(links: _Links, cost: float, position: Array) -> list[int]:
@@ -188,6 +188,8 @@ def _covariance(
     distance = np.einsum("si,ij,sj->s", apart, np.linalg.inv(covariance[:2, :2]), apart)
     if ((cost - cost[best] < _AMBIGUOUS) & (distance > 16.0)).any():
         return None
+    if not _agree(links, cost[best]):
+        stretched *= cost[best] / links.measured.sum()  # reduced chi-square
     return stretched
 
 

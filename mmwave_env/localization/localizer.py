@@ -23,7 +23,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import Switching, TrackCorrector
 from mmwave_env.localization.levels import GAUSSIAN_LEVELS, PARTS, Levels
-from mmwave_env.localization.segments import Segment, segments
+from mmwave_env.localization.segments import Segment, begun_again, segments
 from mmwave_env.localization.starts import Start
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError
@@ -193,19 +193,7 @@ def localize(
     localizer = Localizer(log.layout, scene, radio, switching, height_m, levels, correlation_s)
     log = log.without_steep_angles()
     parts = segments(log, scene, radio)
-    visible = log.visible.copy()
-    for part in parts:  # here, because a chunk may have fewer epochs than a start spends
-        visible[part.epochs] = part.start.unspent(visible[part.epochs])
-    log = replace(log, visible=visible)
-    tracks: list[Track] = []
-    for segment, epochs, start in _chunks(parts, window or 1):
-        chunk = log.part(epochs)
-        localizer.load(chunk, start, log.time_s[epochs.start - 1])
-        track = _track(chunk, localizer, segment, window, two_way)
-        tracks.append(track)
-        if track.damage is not log.damage:
-            break
-        report(epochs.stop / len(log))
+    tracks = list(_tracks(log, parts, localizer, window, two_way, report))
     joined: Track = Track.joined(tracks)
     if joined.damage and not len(joined):
         raise joined.damage
@@ -214,16 +202,42 @@ def localize(
     return replace(joined, skipped=skipped, dropped=dropped)
 
 
-def _chunks(parts: Sequence[Segment], window: int) -> Iterator[tuple[int, slice, Start | None]]:
-    """Divide segments into chunks of whole windows, because intermediate results are large.
+def _tracks(
+    log: Log,
+    parts: Sequence[Segment],
+    localizer: Localizer,
+    window: int | None,
+    two_way: TrackCorrector | None,
+    report: Callable[[float], None],
+) -> Iterator[Track]:
+    """Yield the tracks of the segments of a log; where one is lost, another segment begins.
 
-    Also yield the number of the chunk's segment, and the start if the segment begins here.
+    Segments are divided into chunks of whole windows, because intermediate results are large. The
+    first ones are short, because a track that is lost early is filtered in vain.
     """
-    step = max(1, _CHUNK // window) * window
-    for segment, (part, start) in enumerate(parts):
-        for first in range(part.start, part.stop, step):
-            begins = start if first == part.start else None
-            yield segment, slice(first, min(first + step, part.stop)), begins
+    whole = window or 1
+    number = -1
+    size = whole
+    before_s = 0.0
+    for epochs, begin in parts:
+        rest = log.part(epochs)
+        start: Start | None = begin
+        while len(rest):
+            if start:  # here, because a chunk may have fewer epochs than a start spends
+                rest = replace(rest, visible=start.unspent(rest.visible))
+                number += 1
+                size = max(1, (_CHUNK >> 6) // whole) * whole
+            chunk = rest.part(slice(size))
+            localizer.load(chunk, start, before_s)
+            track, start = _track(chunk, localizer, number, window, two_way)
+            yield track
+            if track.damage is not log.damage:
+                return
+            before_s = chunk.time_s[len(track) - 1]
+            rest = rest.part(slice(len(track), None))
+            report((epochs.stop - len(rest)) / len(log))
+            if 2 * size <= _CHUNK:
+                size *= 2
 
 
 def _track(
@@ -232,10 +246,11 @@ def _track(
     segment: int,
     window: int | None,
     two_way: TrackCorrector | None,
-) -> Track:
-    """Return the track of a loaded part of a segment.
+) -> tuple[Track, Start | None]:
+    """Return the track of a loaded part of a segment, and the start of another if it is lost.
 
-    It ends before a belief that is not finite. ``segment`` is the segment's number.
+    It ends before a belief that is not finite, and before the other begins. ``segment`` is the
+    segment's number.
     """
     parts = localizer.run(localizer.engine, log.time_s[None])
     filtered = {name: part[0] for name, part in parts.items()}
@@ -261,7 +276,12 @@ def _track(
         smooth_trusted=unknown,
         level_factors=filtered["level_factors"],
     )
-    sound = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=1)
+    start = None
+    another = begun_again(track, track.nis, localizer.scene, localizer.radio)
+    if another:
+        end, start = another
+        track = track.part(slice(end))
+    sound = np.isfinite(track.x).all(axis=1) & np.isfinite(track.P).all(axis=1)
     if not sound.all():
         end = int(np.argmin(sound))
         damage = LogError(
@@ -269,14 +289,14 @@ def _track(
             "NaN or infinity in the estimate, expected measurements that a receiver can make"
         )
         track = replace(track.part(slice(end)), damage=damage)
-        kept = kept[:end]
+    kept = kept[: len(track)]
     if window and len(track):
         spread_hz = track.doppler_spread_hz
         x, P = _by_windows(localizer.smoothed, window, kept, track.time_s, spread_hz)
         track = replace(track, smooth_x=x, smooth_P=P)
         if two_way:
-            return _corrected(track, kept, localizer, window, two_way)
-    return track
+            track = _corrected(track, kept, localizer, window, two_way)
+    return track, start
 
 
 def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None = None) -> Episode:

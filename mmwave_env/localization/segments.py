@@ -4,10 +4,11 @@ A filter can predict for some seconds without a link. After half a minute, its e
 from the user, and the covariance is too small. So a segment ends after a long gap. The next segment
 begins with the next epoch that determines a position (``starts.py``). After a start, and after a
 shorter gap, in which a filter becomes ready to believe anything, the positions of some epochs are
-compared: a track that they contradict ends, and another one begins.
+compared: a track that they contradict ends, and another one begins. So does a track that has lost
+the user, as in a turn between two epochs: where most links are far from it but agree on a position.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,9 +19,10 @@ from mmwave_env.logs.log import Log
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Index
+from mmwave_env.numerics.numbers import Array, Index
 
 DOUBTFUL_GAP_S = 10.0  # the first epochs after a gap of this length are doubted like a start
+_LOST_NIS = 28.5  # exceeded by the four values of a link once in 100,000 epochs
 
 
 class Segment(NamedTuple):
@@ -97,6 +99,27 @@ def _begun(log: Log, first: int, end: int, scene: Scene, radio: Radio) -> tuple[
         if start:
             return epoch, start
     return end, None
+
+
+def is_lost(nis: Collection[float]) -> bool:
+    """Tell whether the NIS of most of an epoch's groups say that a filter has lost the user."""
+    far = sum(value > _LOST_NIS for value in nis)
+    return far > 1 and 2 * far > len(nis)
+
+
+def begun_again(log: Log, nis: Array, scene: Scene, radio: Radio) -> tuple[int, Start] | None:
+    """Return the first epoch but one that shows that a track is lost, and a start there; or None.
+
+    ``nis`` (T, groups) is the NIS in a filter that has tracked the epochs of the log.
+    """
+    far = (nis[1:] > _LOST_NIS).any(axis=1)
+    for epoch in (np.flatnonzero(far) + 1).tolist():
+        if is_lost(nis[epoch, log.visible[epoch]]):
+            alone = log.part(slice(epoch, epoch + 1))
+            start = start_at(alone, 0, scene, radio, sure=True)
+            if start:
+                return epoch, start
+    return None
 
 
 def _gaps(log: Log) -> Index:

@@ -80,13 +80,18 @@ def gives_fix(links: Array) -> Mask:
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 
 
-def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
-    """Return a state to begin a track with at an epoch of a log; None if there is none."""
+def start_at(log: Log, epoch: int, scene: Scene, radio: Radio, sure: bool = False) -> Start | None:
+    """Return a state to begin a track with at an epoch of a log; None if there is none.
+
+    If it must be ``sure``, all links must agree, and have more values than a position needs.
+    """
     row = log.part(slice(epoch, epoch + 1))
     link = row.measurement[0, :4]
     spent = np.zeros((1, len(row.layout.groups)), np.bool_)
     whole = np.isfinite(link).all() and row.visible[0, 0] and not row.layout.has_bias
     solved = _position_at(log, epoch, scene, radio)
+    if sure and not (solved and solved[0].agree):
+        return None
     contradicted = solved is not None and 0 not in solved[0].used
     if whole and gives_fix(row.measurement)[0] and not contradicted:
         spent[0, 0] = True
@@ -98,7 +103,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     spent[0, :links] = row.visible[0, :links]
     if solved is None:
         return None
-    unknown, covariance, _ = solved[0]
+    unknown, covariance, *_ = solved[0]
     n = row.layout.state_size
     x = np.zeros(n)
     P = radio.prior_covariance(scene, row.layout.clock)

@@ -16,8 +16,8 @@ from mmwave_env.localization.levels import GAUSSIAN_LEVELS, Levels
 from mmwave_env.localization.localizer import Localizer, episode_from
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
-from mmwave_env.localization.segments import DOUBTFUL_GAP_S
-from mmwave_env.localization.starts import Doubt, Start
+from mmwave_env.localization.segments import DOUBTFUL_GAP_S, begun_again, is_lost
+from mmwave_env.localization.starts import Doubt, Start, start_at
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog, Row, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import Layout, require_clock
@@ -25,7 +25,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import NEUTRAL_SNR_DB, blank_incoming, columns_of
 
@@ -252,10 +252,16 @@ class Tracker:
         self._store()
         self._loaded = [user]
         self._engine = self._engines[1]
+        log = replace(log, visible=start.unspent(log.visible))
         self._localizer.load(log, start)
         times = log.time_s.tolist()
         user.last_s = times[0]
-        (position,) = self._filtered([times], begins=True)
+        parts = self._localizer.run(self._engine, [times])
+        another = begun_again(log, parts["memory.nis"][0], self._scene, self.radio)
+        if another:
+            first, start = another
+            return self._restarted(user, log.part(slice(first, None)), start)
+        (position,) = self._positions(parts, [times], begins=True)
         return position
 
     def _continued(self, users: list[_User], epochs: Sequence[LiveEpoch]) -> list[Position]:
@@ -267,7 +273,15 @@ class Tracker:
         for row, epoch, user in zip(rows, epochs, users, strict=True):
             row[self._at.dt] = epoch.time_s - user.end_s
         self._engine.go_on([[row] for row in rows])
-        return self._filtered([[epoch.time_s] for epoch in epochs])
+        time_s = [[epoch.time_s] for epoch in epochs]
+        positions = self._positions(self._localizer.run(self._engine, time_s), time_s)
+        for i, position in enumerate(positions):
+            if is_lost(position.nis.values()):
+                log = log_from([epochs[i]])
+                start = start_at(log, 0, self._scene, self.radio, sure=True)
+                if start:
+                    positions[i] = self._restarted(users[i], log, start)
+        return positions
 
     def _store(self) -> None:
         """Keep the tracks in the engine, which other tracks will use."""
@@ -295,10 +309,11 @@ class Tracker:
         self._localizer.levels.memory = others
         self._loaded = users
 
-    def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
-        """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
+    def _positions(
+        self, parts: dict[str, Array], time_s: list[list[float]], begins: bool = False
+    ) -> list[Position]:
+        """Return the beliefs after the last of T filtered epochs of each of k users."""
         count = len(self._loaded)
-        parts = self._localizer.run(self._engine, time_s)
         layout = self._localizer.layout
         rejected = parts["memory.rejected"]
         measured = (parts["memory.accepted"] + rejected).tolist()

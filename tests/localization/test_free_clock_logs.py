@@ -105,7 +105,7 @@ def test_time_differences_give_the_same_track_as_times_of_arrival(tmp_path, ride
         succeed("localize", *words, "--out", tmp_path / "track.csv")
         tracks.append(pd.read_csv(tmp_path / "track.csv"))
     positions = [track[["x_m", "y_m", "z_m", "sigma_x_m"]] for track in tracks]
-    assert_allclose(*positions, atol=1e-5)
+    assert_allclose(*positions, atol=1e-4)  # first positions are solved to 0.1 mm
     truth = np.loadtxt(ride / TRUTH)
     away = np.linalg.norm(tracks[0][["x_m", "y_m"]] - truth[-len(tracks[0]) :, 1:3], axis=1)
     assert np.median(away) < 2.0

@@ -90,6 +90,17 @@ def rms(errors):
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
+def block(t):
+    """Return a place on the way of a car around a block of 60 m, at 15 m/s."""
+    side, passed = divmod(15.0 * t, 60.0)
+    corners = np.array(
+        [[40.0, 15.0, 1.5], [100.0, 15.0, 1.5], [100.0, 75.0, 1.5], [40.0, 75.0, 1.5]]
+    )
+    begin = corners[int(side) % 4]
+    return begin + passed / 60.0 * (corners[(int(side) + 1) % 4] - begin)
+
+
+TURNING = np.arange(0.0, 160.0, 2.0)
 REFLECTED = {"the first two": (0, 1), "the second": (1,), "the third": (2,), "the tenth": (9,)}
 
 
@@ -133,6 +144,16 @@ def test_ranges_that_are_wrong_after_an_outage_are_taken_back(tmp_path, policy):
     track = tracked(tmp_path, ROOM, rows, policy, window=None)
     wrong = np.linalg.norm(errors(track, street, track.x), axis=1)
     assert wrong[track.time_s >= 84].max() < 2.0
+
+
+@pytest.mark.parametrize("policy", ["imm-best", "corrector"])
+def test_a_car_that_turns_between_two_epochs_is_found_again(tmp_path, policy):
+    rows = rows_of(WIDE, TURNING, block, noise=BOTH | FAINT)
+    track = tracked(tmp_path, WIDE, rows, policy)
+    wrong = errors(track, block, track.x)
+    smooth = errors(track, block, track.smooth_x)
+    assert len(track) == len(TURNING) and nees_of(wrong, track.P).mean() < 8.0
+    assert rms(wrong) < 8.0 and rms(smooth) < 8.0
 
 
 def test_sequential_ranges_begin_a_track_within_two_seconds(tmp_path):
@@ -267,12 +288,16 @@ def test_starts_with_two_anchors_have_honest_covariances_or_wait(tmp_path, case)
     assert fewest or not nees
 
 
+def epochs_of(rows):
+    """Return the rows of each epoch."""
+    return [list(epoch) for _, epoch in groupby(rows, lambda row: row["time_s"])]
+
+
 def live_as_in_log(tmp_path, scene, rows, policy, first):
     """Return the live positions of rows; check that from ``first`` on, they are those of a log."""
     track = tracked(tmp_path, scene, rows, policy, window=None)
     tracker = Tracker(scene, contender_from(policy, "standard"), RADIO)
-    epochs = groupby(rows, lambda row: row["time_s"])
-    positions = [tracker.update(epoch) for _, epoch in epochs]
+    positions = [tracker.update(epoch) for epoch in epochs_of(rows)]
     assert_array_equal([p.position_m for p in positions[first:]], track.x[first:, :3])
     return positions
 
@@ -297,6 +322,18 @@ def test_live_equals_the_log_if_votes_come_until_the_last_moment(tmp_path):
     rows[1]["range_m"] += 15.0
     rows[1]["aoa_azimuth_deg"] += 20.0
     live_as_in_log(tmp_path, WIDE, rows, "speed-rule", 8)
+
+
+def test_live_finds_a_car_again_as_in_the_log_beside_another_user(tmp_path):
+    rows = rows_of(WIDE, TURNING, block, noise=BOTH | FAINT)
+    alone = live_as_in_log(tmp_path, WIDE, rows, "imm-best", 8)
+    assert sum(position.begins for position in alone) > 8
+    tracker = Tracker(WIDE, contender_from("imm-best", "standard"), RADIO)
+    still = rows_of(WIDE, TURNING, lambda t: np.array([60.0, 30.0, 1.5]), noise=BOTH | FAINT)
+    for row in still:
+        row["ue"] = "other"
+    for expected, ours, theirs in zip(alone, epochs_of(rows), epochs_of(still), strict=True):
+        assert tracker.update_users([*ours, *theirs])[""] == expected
 
 
 def test_live_takes_back_wrong_ranges_after_an_outage(tmp_path):
