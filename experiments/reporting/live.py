@@ -213,11 +213,9 @@ class _FirstEpochs:
         rejected = np.array([[name in p.rejected for name in names] for p in positions])
         filtered = replace(log, visible=np.isfinite(nis))
         groups = group_statistics(filtered, filtered.visible & ~rejected, np.nan_to_num(nis))
-        for group in groups.values():
-            # the first epoch chose the radio, perhaps one with more noise; that does no harm
-            group["nis_per_dof"] = max(group["nis_per_dof"] or 1.0, 1.0)
         heights_m = [p.position_m[2] for p in positions]
-        return contradictions(log, scene, radio, groups, heights_m)
+        # the first epoch chose the radio, perhaps one with more noise; that does no harm
+        return contradictions(log, scene, radio, groups, heights_m, small_nis=False)
 
 
 def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:

@@ -366,13 +366,11 @@ def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) ->
 def _consistency(args: LogArgs, work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     """Return statistics of a track's measurements, and what contradicts the scene or the radio."""
     groups = group_statistics(track, track.accepted, track.nis)
-    judged = groups
-    if args.correlation:  # then the filter adds noise, so that a small NIS is no mistake
-        judged = {
-            name: group | {"nis_per_dof": max(group["nis_per_dof"] or 1.0, 1.0)}
-            for name, group in groups.items()
-        }
-    return groups, contradictions(work.log, work.scene, work.radio, judged, track.x[:, 2])
+    # with --correlation, the filter adds noise, so that a small NIS is no mistake
+    doubts = contradictions(
+        work.log, work.scene, work.radio, groups, track.x[:, 2], small_nis=not args.correlation
+    )
+    return groups, doubts
 
 
 def _shared_errors(work: Work) -> dict[str, str]:

@@ -79,15 +79,17 @@ def contradictions(
     radio: Radio,
     groups: Mapping[str, Mapping[str, Any]],
     heights_m: Sequence[float] | Array = (0.0,),
+    small_nis: bool = True,
 ) -> list[Contradiction]:
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
     ``log`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
     its statistics: ``seen`` (number of epochs with it), ``rejected_share`` (fraction of these
     epochs in which a gate rejected it) and ``nis_per_dof``. ``track_scores.group_statistics``
-    computes them. ``heights_m`` are a track's heights; a known one does not vary.
+    computes them. ``heights_m`` are a track's heights; a known one does not vary. If ``small_nis``
+    is False, a NIS that is too small is no contradiction.
     """
-    checks = chain(_likelihood_checks(log, scene, radio, heights_m), _fit_checks(groups))
+    checks = chain(_likelihood_checks(log, scene, radio, heights_m), _fit_checks(groups, small_nis))
     return impossible(log) + _failed(checks)
 
 
@@ -163,7 +165,7 @@ def _likelihood_checks(
     yield "Doppler", slope, bound, value
 
 
-def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
+def _fit_checks(groups: Mapping[str, Mapping[str, Any]], small_nis: bool) -> Iterator[Check]:
     """Yield checks of how well the groups of measurements fit the track."""
     for name, group in groups.items():
         if name == "all" or group["seen"] < _ENOUGH:
@@ -174,6 +176,8 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
         bound = _NIS if name.startswith("anchor") else _NIS_OF_OTHERS
         if (group.get("nis_in_bounds") or 0.0) >= _FEW_WRONG:
             bound = bound._replace(most=inf)  # such as reflections: that is no mistake
+        if not small_nis:
+            bound = bound._replace(least=None)
         if nis is not None:
             yield name, nis, bound, f"NIS / dof {nis:.3g}"
         share = group["rejected_share"]

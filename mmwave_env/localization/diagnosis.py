@@ -290,12 +290,13 @@ def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) 
     groups = {}
     for name, used, column in zip(layout.group_names, episode.visible.T, ratios.T, strict=True):
         fits[name] = fit = float(np.median(column[used])) if used.any() else None
-        # Even a few epochs say that a NIS is huge. A small one is no reason to read a log in a less
-        # likely way: with ranges alone, it is that of a pedestrian in the filter of a vehicle.
-        epochs = used.sum() + (fit or 0.0)
-        groups[name] = {"seen": epochs, "rejected_share": 0.0, "nis_per_dof": fit and max(fit, 1.0)}
+        epochs = used.sum() + (fit or 0.0)  # even a few epochs say that a NIS is huge
+        groups[name] = {"seen": epochs, "rejected_share": 0.0, "nis_per_dof": fit}
     if not np.isfinite(likelihood).all():
         return reading.finding([Contradiction("track", "NaN or infinity", "numbers")], fits)
     clipped = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()
     mean = (float(likelihood.sum() + 0.5 * clipped) + reading.log_scale) / len(log)
-    return reading.finding(contradictions(log, reading.scene, reading.radio, groups), fits, mean)
+    # A small NIS is no reason to read a log in a less likely way: with ranges alone, it is that of
+    # a pedestrian in the filter of a vehicle.
+    why = contradictions(log, reading.scene, reading.radio, groups, small_nis=False)
+    return reading.finding(why, fits, mean)
