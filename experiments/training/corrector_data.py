@@ -30,7 +30,7 @@ from mmwave_env.interface.signed import after_update
 from mmwave_env.localization.starts import gives_fix
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from, random_radio
-from mmwave_env.models.random_scene import WIDE_SCENE, RandomScene, RandomSurvey
+from mmwave_env.models.random_scene import WIDE_SCENE, RandomSurvey
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.world.episode import EpisodeBatch, columns_of, site_index
@@ -207,7 +207,6 @@ def begin_from_a_link(batch: EpisodeBatch, source: SimulatedSource) -> None:
         return
     at = columns_of(layout)
     index = site_index(layout)
-    scene = source.scene.example if isinstance(source.scene, RandomScene) else source.scene
     lower = np.tril_indices(layout.state_size)
     for table, site in zip(batch.table[:, 0], batch.site, strict=True):
         anchors = site[index.anchors]
@@ -216,7 +215,9 @@ def begin_from_a_link(batch: EpisodeBatch, source: SimulatedSource) -> None:
             columns = at.signed_sigma[layout.link(anchor)]
             sigma = table[columns]
             if (sigma > 0.0).all() and gives_fix(link[None])[0]:
-                mean, covariance = prior_from_fix(position, link, sigma, source.radio, scene)
+                mean, covariance = prior_from_fix(
+                    position, link, sigma, source.radio, source.example
+                )
                 site[index.prior_x] = mean
                 site[index.prior_P] = covariance[lower]
                 table[columns] = -sigma

@@ -104,7 +104,7 @@ class SimulatedSource:
     @cached_property
     def _extreme(self) -> Episode:
         """Return an example; refuse a radio and a scene whose episodes filters could refuse."""
-        scene = self._example
+        scene = self.example
         radio = self.radio
         snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], self.layout.anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
@@ -127,14 +127,14 @@ class SimulatedSource:
     def layout(self) -> Layout:
         """Return the layout of every episode's measurements."""
         partial = self.measurements is not None or self.clock == "free"
-        return Layout(len(self._example.anchors_m), self.odometry, partial, self.clock)
+        return Layout(len(self.example.anchors_m), self.odometry, partial, self.clock)
 
     @property
     def _prior_covariance(self) -> Array:
-        return self.radio.prior_covariance(self._example, self.clock)
+        return self.radio.prior_covariance(self.example, self.clock)
 
     @cached_property
-    def _example(self) -> Scene:
+    def example(self) -> Scene:
         """Return the scene; for a random scene, an example with its carrier and anchor count."""
         return self.scene.example if isinstance(self.scene, RandomScene) else self.scene
 
@@ -167,7 +167,7 @@ class SimulatedSource:
         """Return the episodes that the keys (n,) determine."""
         batch = self.sample_batch(keys)
         index = site_index(self.layout)
-        scene = self._example
+        scene = self.example
         episodes = []
         for name, table, site in zip(batch.names, batch.table, batch.site, strict=True):
             columns = [np.ascontiguousarray(table[:, c]) for c in columns_of(self.layout)]
@@ -293,7 +293,7 @@ class SimulatedSource:
         """Return the given ways, placed in the scene."""
         users = self._users
         assert not isinstance(users, tuple)
-        return users.placed(self._example, self.dt, self.epochs)
+        return users.placed(self.example, self.dt, self.epochs)
 
     @property
     def world(self) -> World:
@@ -314,7 +314,7 @@ class SimulatedSource:
     @cached_property
     def _before(self) -> Array:
         """Return the input (size,) of the program that begins episodes, with 0 as the key."""
-        scene = self._example
+        scene = self.example
         radio = self.radio
         filled = self._start_program.template._replace(
             plans=self._plans,
@@ -329,7 +329,7 @@ class SimulatedSource:
     def _settings_rows(self) -> Array:
         """Return the settings (rows, 8 lanes), which are the same in all episodes."""
         radio = self.radio
-        scene = self._example
+        scene = self.example
         stride = stride_of(self.dt)
         clocks = {
             "synchronized": (),
