@@ -60,7 +60,6 @@ def run_live(args: LogArgs) -> None:
         "more", "write", "window", "smoothing",
     )  # fmt: skip
     check_options(args, inputs(args))
-    levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
     origin = _origin(args, scene)
     if args.map == "learn":
@@ -76,7 +75,7 @@ def run_live(args: LogArgs) -> None:
             linked = (epoch for epoch in epochs if log_from([epoch]).visible_links.any())
             first = next(linked, None)
             if first:
-                tracker, why = _tracker(args, scene, first, levels)
+                tracker, why = _tracker(args, scene, first)
         placed = []
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
@@ -218,13 +217,13 @@ class _FirstEpochs:
         return contradictions(log, scene, radio, groups, heights_m, small_nis=False)
 
 
-def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:
+def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch) -> tuple[Tracker, str]:
     """Return a tracker for a log with this first epoch, and its modes and radio in words."""
     radio = nearest_radio(log_from([first]), scene) if args.radio == AUTO else args.radio
     switching, why = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
     tracker = Tracker(
-        scene, switching, radio_of(args, radio), height_m=args.height, levels=levels,
-        correlation_s=args.correlation,
+        scene, switching, radio_of(args, radio), height_m=args.height,
+        levels=Levels(args.risk, args.levels), correlation_s=args.correlation,
     )  # fmt: skip
     gc.freeze()  # else Python's garbage collector stops the rows for 70 ms at times
     return tracker, f"modes {why}, radio {radio}"

@@ -52,11 +52,7 @@ from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
-from mmwave_env.localization.readings import (
-    AS_IT_IS,
-    Finding,
-    Reading,
-)
+from mmwave_env.localization.readings import AS_IT_IS, Finding, Reading
 from mmwave_env.localization.shared_errors import scanned, shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
@@ -104,8 +100,7 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
             log = whole
     names = [args.radio]
     if args.radio == AUTO:  # wrong values may be nearest to another radio
-        nearest = nearest_radio(log, scene)
-        names = [nearest, *(name for name in TUNED_RADIOS if name != nearest)]
+        names = [*dict.fromkeys([nearest_radio(log, scene), *TUNED_RADIOS])]
     with progress("looking for likely mistakes"):
         log, step_m = with_range_steps(log, scene, radio_of(args, names[0]))
         readings = [
