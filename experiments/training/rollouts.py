@@ -162,8 +162,7 @@ class RolloutLearner:
             last.bias.zero_()
             last.bias[0] = hyper.first_action_bias
         self.network: nn.Module = network
-        parameters = self.network.parameters()
-        adam = torch.optim.Adam(parameters, hyper.learning_rate)
+        adam = torch.optim.Adam(network.parameters(), hyper.learning_rate)
         self.optimizers: tuple[torch.optim.Optimizer, ...] = (adam,)
         self._observations = torch.empty((hyper.memory, features))
         self._gains = torch.empty((hyper.memory, actions))

@@ -93,8 +93,7 @@ def _step(view: View) -> Number:
 
 
 def _spread(view: View) -> Number:
-    present = _present(view)
-    return present * log(1.0 + view.last.epoch.doppler_spread_hz / view.site.hz_per_mps)
+    return _present(view) * log(1.0 + view.last.epoch.doppler_spread_hz / view.site.hz_per_mps)
 
 
 def _measured(view: View, anchor: int, row: int) -> Number:

@@ -365,7 +365,7 @@ def _images(scene: Scene) -> list[Json]:
     learned = zip(scene.anchors_m[first:], scene.learned, strict=True)
     for number, (place, image) in enumerate(learned, start=first + 1):
         normal = (place - station)[:2]
-        normal = normal / np.linalg.norm(normal)
+        normal /= np.linalg.norm(normal)
         offset_m = float(normal @ (place + station)[:2] / 2.0)
         images.append(
             {

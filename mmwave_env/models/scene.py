@@ -93,7 +93,7 @@ class Origin(Record):
     latitude_deg: Annotated[float, between(-90.0, 90.0, "degrees")]
     longitude_deg: Annotated[float, between(-180.0, 180.0, "degrees")]
     height_m: Annotated[float, between(-1e4, 1e5, "m")] = 0.0
-    bearing_deg: Annotated[float, between(-360.0, 360.0, "degrees")] = 90.0
+    bearing_deg: Bearing = 90.0
 
 
 @dataclass(frozen=True)
