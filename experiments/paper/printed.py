@@ -265,8 +265,7 @@ def table_three(bench: Bench) -> Iterator[Row]:
 
 def summaries(sections: Mapping[str, Section]) -> str:
     """Return short forms of Tables I and II and of the claims as Markdown, from all sections."""
-    wanted = read_table("verdicts.csv")
-    rows = [_span(row, sections[row["section"]]) for row in wanted]
+    rows = [_span(row, sections[row["section"]]) for row in read_table("verdicts.csv")]
     claims = grid(["quantity", "paper", "ours, least", "ours, most"], rows)
     return (
         f"### Table I\n\n{_beside('Table I: pedestrian', sections)}\n\n"

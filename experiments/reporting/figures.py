@@ -111,8 +111,8 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
     with panels(path) as both:
         for i, (axes, kind) in enumerate(zip(both, ("horizontal", "vertical"), strict=True)):
             for name, errors in errors_m.items():
-                sizes = error_sizes(errors)[..., i]
-                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
+                # the error of a known height is 0
+                values = np.maximum(error_sizes(errors)[..., i], SMALLEST_M)
                 axes.plot(np.quantile(values, _SHARES), _SHARES, label=printable(name))
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")

@@ -117,8 +117,7 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
             return MPM[i][j]
         return MP[j][i] if j < 3 else belief.P[i][j]
 
-    P = symmetric(len(belief.P), entry)
-    return Belief(x, P, belief.axes)
+    return Belief(x, symmetric(len(belief.P), entry), belief.axes)
 
 
 def corrected_all(

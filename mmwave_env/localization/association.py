@@ -165,8 +165,7 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
         log = log.whole()
     begins = np.array([track.begins for track in tracks])
     log = replace(log, restarts=begins, damage=paths.damage)
-    tracked = np.array([track.tracked for track in tracks])
-    return log, _counts(log, paths, tracked)
+    return log, _counts(log, paths, np.array([track.tracked for track in tracks]))
 
 
 def _counts(log: Log, path_log: PathLog, tracked: Mask) -> Json:

@@ -211,8 +211,7 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
     for part in np.split(np.arange(len(time)), edges):
         if len(part) >= _FEWEST:
             usual = float(np.median(sigma[part]))
-            ranges = log.measurement[part, 0]
-            products += _products(time[part], ranges, rate[part], usual, radio)
+            products += _products(time[part], log.measurement[part, 0], rate[part], usual, radio)
             dof += len(part) - 3
     (moved, product), (_, square) = products.tolist()
     if dof < _ENOUGH_IF_BLOCKED or log.layout.clock == "free":

@@ -32,7 +32,6 @@ from mmwave_env.numerics.numbers import Array
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED = "calibrated"
 GAUSSIAN = "gaussian"
-KINDS = (CALIBRATED, GAUSSIAN)
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # in running means: weight of the past after 1 s
 # lower limits, so that logarithms and quotients are finite
 _LEAST = 1e-9
@@ -118,7 +117,7 @@ class Levels:
     def __init__(self, risk: float = RISK, kind: str = CALIBRATED) -> None:
         if not 0.0 < risk <= _LARGEST_RISK:
             raise ValueError(f"risk: found {risk:g}, expected above 0 and at most {_LARGEST_RISK}")
-        choose(dict.fromkeys(KINDS), kind, "levels")
+        choose(dict.fromkeys([CALIBRATED, GAUSSIAN]), kind, "levels")
         self.risk = risk
         self.kind = kind
         if kind == CALIBRATED and risk not in shipped().risks:
