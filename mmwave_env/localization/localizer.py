@@ -229,7 +229,7 @@ def _tracks(
                 size = max(1, (_CHUNK >> 6) // whole) * whole
             chunk = rest.part(slice(size))
             localizer.load(chunk, start, before_s)
-            track, start = _track(chunk, localizer, number, window, two_way)
+            track, start = _track(chunk, start is not None, localizer, number, window, two_way)
             yield track
             if track.damage is not log.damage:
                 return
@@ -242,6 +242,7 @@ def _tracks(
 
 def _track(
     log: Log,
+    begins: bool,
     localizer: Localizer,
     segment: int,
     window: int | None,
@@ -250,7 +251,7 @@ def _track(
     """Return the track of a loaded part of a segment, and the start of another if it is lost.
 
     It ends before a belief that is not finite, and before the other begins. ``segment`` is the
-    segment's number.
+    segment's number, which ``begins`` here or before.
     """
     parts = localizer.run(localizer.engine, log.time_s[None])
     filtered = {name: part[0] for name, part in parts.items()}
@@ -277,7 +278,7 @@ def _track(
         level_factors=filtered["level_factors"],
     )
     start = None
-    another = begun_again(track, track.nis, localizer.scene, localizer.radio)
+    another = begun_again(track, track.nis, begins, localizer.scene, localizer.radio)
     if another:
         end, start = another
         track = track.part(slice(end))

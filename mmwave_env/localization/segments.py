@@ -107,14 +107,16 @@ def is_lost(nis: Collection[float]) -> bool:
     return far > 1 and 2 * far > len(nis)
 
 
-def begun_again(log: Log, nis: Array, scene: Scene, radio: Radio) -> tuple[int, Start] | None:
-    """Return the first epoch but one that shows that a track is lost, and a start there; or None.
+def begun_again(
+    log: Log, nis: Array, begins: bool, scene: Scene, radio: Radio
+) -> tuple[int, Start] | None:
+    """Return the first epoch that shows that a track is lost, and a start there; or None.
 
-    ``nis`` (T, groups) is the NIS in a filter that has tracked the epochs of the log.
+    ``nis`` (T, groups) is the NIS in a filter that has tracked the epochs of the log. If the track
+    ``begins`` with the first of them, it is not lost there.
     """
-    far = (nis[1:] > _LOST_NIS).any(axis=1)
-    for epoch in (np.flatnonzero(far) + 1).tolist():
-        if is_lost(nis[epoch, log.visible[epoch]]):
+    for epoch in np.flatnonzero((nis > _LOST_NIS).any(axis=1)).tolist():
+        if (epoch or not begins) and is_lost(nis[epoch, log.visible[epoch]]):
             alone = log.part(slice(epoch, epoch + 1))
             start = start_at(alone, 0, scene, radio, sure=True)
             if start:

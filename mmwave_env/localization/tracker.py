@@ -257,7 +257,7 @@ class Tracker:
         times = log.time_s.tolist()
         user.last_s = times[0]
         parts = self._localizer.run(self._engine, [times])
-        another = begun_again(log, parts["memory.nis"][0], self._scene, self.radio)
+        another = begun_again(log, parts["memory.nis"][0], True, self._scene, self.radio)
         if another:
             first, start = another
             return self._restarted(user, log.part(slice(first, None)), start)

@@ -324,7 +324,8 @@ def test_live_equals_the_log_if_votes_come_until_the_last_moment(tmp_path):
     live_as_in_log(tmp_path, WIDE, rows, "speed-rule", 8)
 
 
-def test_live_finds_a_car_again_as_in_the_log_beside_another_user(tmp_path):
+def test_live_finds_a_car_again_as_in_the_log_beside_another_user(tmp_path, monkeypatch):
+    monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", 64)  # chunks begin everywhere
     rows = rows_of(WIDE, TURNING, block, noise=BOTH | FAINT)
     alone = live_as_in_log(tmp_path, WIDE, rows, "imm-best", 8)
     assert sum(position.begins for position in alone) > 8
