@@ -91,7 +91,7 @@ def test_a_clock_that_jumps_and_a_fifth_of_wild_ranges_cost_little(tmp_path, see
 def ride(tmp_path_factory):
     """Return the folder of a simulated log with a free clock."""
     folder = tmp_path_factory.mktemp("ride") / "ride"
-    words = ("--seed", 2, "--radio", "standard", "--clock", "free", "--episode-steps", 60)
+    words = ("--seed", 2, "--radio", "standard", "--clock", "free", "--dt", 0.5, "--episode-steps", 60)
     succeed("simulate", *words, "--out", folder)
     return folder
 
@@ -105,7 +105,7 @@ def test_time_differences_give_the_same_track_as_times_of_arrival(tmp_path, ride
         succeed("localize", *words, "--out", tmp_path / "track.csv")
         tracks.append(pd.read_csv(tmp_path / "track.csv"))
     positions = [track[["x_m", "y_m", "z_m", "sigma_x_m"]] for track in tracks]
-    assert_allclose(*positions, atol=1e-4)  # first positions are solved to 0.1 mm
+    assert_allclose(*positions, atol=1e-5)
     truth = np.loadtxt(ride / TRUTH)
     away = np.linalg.norm(tracks[0][["x_m", "y_m"]] - truth[-len(tracks[0]) :, 1:3], axis=1)
     assert np.median(away) < 2.0
