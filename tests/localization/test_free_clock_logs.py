@@ -91,8 +91,8 @@ def test_a_clock_that_jumps_and_a_fifth_of_wild_ranges_cost_little(tmp_path, see
 def ride(tmp_path_factory):
     """Return the folder of a simulated log with a free clock."""
     folder = tmp_path_factory.mktemp("ride") / "ride"
-    words = ("--seed", 2, "--radio", "standard", "--clock", "free", "--dt", 0.5, "--episode-steps", 60)
-    succeed("simulate", *words, "--out", folder)
+    words = ("--seed", 2, "--radio", "standard", "--clock", "free", "--dt", 0.5)
+    succeed("simulate", *words, "--episode-steps", 60, "--out", folder)
     return folder
 
 
